@@ -1,0 +1,1 @@
+"""Read 2-D codes from event cameras."""

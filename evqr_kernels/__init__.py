@@ -1,0 +1,1 @@
+"""Array-in, array-out kernels for event cameras and planar codes."""
