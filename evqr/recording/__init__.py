@@ -1,0 +1,111 @@
+"""Open, check, stream and save event recordings.
+
+`open_recording` recognises the format by its content, never by the name.  Data flow: a `source.Source` of one
+format family gives raw columns, `columns` checks and converts them, `ordering` puts them in order of time,
+`stream.Recording` hands them out.
+"""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+from numpy.typing import NDArray
+
+from ..errors import RecordingError
+from ..types import EventArray
+from .arrays import open_arrays
+from .source import Source, TimeUnit
+from .stream import Recording
+from .writing import save_recording
+
+__all__ = ["Recording", "open_recording", "save_recording"]
+
+DEFAULT_CHUNK_EVENTS = 1 << 20
+HEAD_BYTES = 4096
+
+
+def open_recording(
+    source: str | os.PathLike[str] | EventArray | NDArray[Any] | tuple[Any, Any, Any, Any],
+    *,
+    sensor: tuple[int, int] | None = None,
+    time_unit: TimeUnit | None = None,
+    chunk_events: int = DEFAULT_CHUNK_EVENTS,
+) -> Recording:
+    """Open a recording of any known format, or events in memory.
+
+    Parameters
+    ----------
+    source        path; `EventArray`; structured array with fields t, x, y, p or their usual aliases; (t, x, y, p)
+    sensor        (width, height) [px]; needed where the source does not tell
+    time_unit     unit of the stored times; needed where neither source nor numbers tell
+    chunk_events  about so many events a chunk
+
+    Returns
+    -------
+    Recording     to be closed; a context manager
+
+    Raises
+    ------
+    RecordingError   missing, empty, truncated, no event file, or inconsistent; one line that says what to do
+    MissingExtra     the format needs ``pip install "evqr[formats]"``
+    TypeError        a source of another type
+    """
+    if chunk_events < 1:
+        raise ValueError(f"chunk_events must be at least 1, got {chunk_events}")
+    if isinstance(source, (str, os.PathLike)):
+        path = os.fspath(source)
+        opened = _open_file(path)
+    else:
+        path = ""
+        opened = open_arrays(source)
+    try:
+        return Recording(opened, path=path, sensor=sensor, time_unit=time_unit, chunk_events=chunk_events)
+    except BaseException:
+        opened.close()
+        raise
+
+
+def _open_file(path: str) -> Source:
+    return _recognise(path, _head(path))(path)
+
+
+def _head(path: str) -> bytes:
+    """First bytes of a file, with an error for whatever is no file with bytes in it."""
+    place = Path(path)
+    if not place.exists():
+        raise RecordingError(f"{path}: no such file; check the path")
+    if place.is_dir():
+        raise RecordingError(f"{path}: is a directory; name a recording in it")
+    try:
+        with open(path, "rb") as file:
+            head = file.read(HEAD_BYTES)
+    except OSError as error:
+        raise RecordingError(
+            f"{path}: cannot be read ({error.strerror or error}); check its permissions"
+        ) from error
+    if not head:
+        raise RecordingError(f"{path}: the file is empty (0 bytes); copy or record it again")
+    return head
+
+
+def _recognise(path: str, head: bytes) -> Callable[[str], Source]:
+    """Which reader takes a file that starts like this; readers are imported only when needed."""
+    if head.startswith(b"\x89HDF\r\n\x1a\n"):
+        from .hdf5 import Hdf5Source
+
+        return Hdf5Source
+    if head.startswith(b"PK\x03\x04"):
+        from .numpy_files import NpzSource
+
+        return NpzSource
+    if head.startswith(b"\x93NUMPY"):
+        from .numpy_files import NpySource
+
+        return NpySource
+    raise RecordingError(
+        f"{path}: not an event recording (starts with {head[:16]!r}); known are HDF5, npz, npy, text,"
+        ' and with pip install "evqr[formats]" Prophesee RAW and DAT, AEDAT4, ROS 1 bag'
+    )

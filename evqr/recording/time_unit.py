@@ -1,0 +1,82 @@
+"""Which unit the time stamps of a recording are in, and why.
+
+The unit is, in this order: what the user says; what the file or its format says; what the numbers say.  The
+numbers are judged by their granularity (a microsecond clock leaves whole numbers in us, three decimals in ms, six
+in s), by the year that the last stamp would be, and by how many events each pixel would have fired a second.  Where
+two units remain, the answer is an error and not a guess.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ..errors import RecordingError
+from .source import DeclaredUnit, TimeUnit
+
+PER_SECOND: dict[TimeUnit, int] = {"s": 1, "ms": 1_000, "us": 1_000_000, "ns": 1_000_000_000}
+
+# Mean events a pixel and second.  Above the upper bound no pixel recovers and no readout follows; below the lower
+# one the recording would be quieter than the noise of any sensor.
+MIN_RATE, MAX_RATE = 1e-3, 2e4
+
+# No recording is younger than this [s since 1970]: the year 2100.
+MAX_EPOCH_S = 4.1e9
+
+
+def decide_time_unit(t: NDArray, sensor: tuple[int, int], name: str) -> DeclaredUnit:
+    """Judge the unit from a sample of stored time stamps.
+
+    Parameters
+    ----------
+    t : (E,) integer or float   the first stored stamps, finite and not negative
+    sensor : (width, height) [px]
+    name                        the recording, for the message
+
+    Raises
+    ------
+    RecordingError   when none or more than one unit is plausible
+    """
+    pixels = sensor[0] * sensor[1]
+    span, last = float(t.max()) - float(t.min()), float(t.max())
+
+    def rate(unit: TimeUnit) -> float:
+        return len(t) / pixels / (span / PER_SECOND[unit])
+
+    def plausible(unit: TimeUnit) -> bool:
+        return last <= MAX_EPOCH_S * PER_SECOND[unit] and (span == 0 or MIN_RATE <= rate(unit) <= MAX_RATE)
+
+    candidates = [unit for unit in PER_SECOND if plausible(unit)]
+    usual, why = _usual_units(t)
+    chosen = [unit for unit in usual if unit in candidates] or candidates
+    if len(chosen) == 1:
+        rate_text = "" if span == 0 else f", {rate(chosen[0]):.3g} events per pixel and second"
+        return DeclaredUnit(
+            chosen[0], f"{why if chosen[0] in usual else 'the only plausible rate'}{rate_text}"
+        )
+    options = f"could be {' or '.join(chosen)}" if chosen else "fits no unit"
+    raise RecordingError(
+        f"{name}: unit of the time stamps undecidable: {why}, {t.min()} to {t.max()} over {len(t):,} events"
+        f" {options}; pass --time-unit us|ms|s|ns"
+    )
+
+
+def _usual_units(t: NDArray) -> tuple[tuple[TimeUnit, ...], str]:
+    """Units that numbers of this granularity usually have, and the finding in words."""
+    if _multiples_of(t, 0):
+        if t.max() > 0 and not np.any(t % 1000):
+            return ("us", "ns"), "whole multiples of 1000"
+        return ("us",), "whole numbers"
+    if _multiples_of(t, 3):
+        return ("ms", "s"), "at most three decimals"
+    return ("s",), "fractions finer than a thousandth"
+
+
+def _multiples_of(t: NDArray, decimals: int) -> bool:
+    """Whether all numbers have at most so many decimals, as far as their floating-point type can tell."""
+    if t.dtype.kind in "iu":
+        return True
+    scaled = t.astype(np.float64) * 10.0**decimals
+    # Rounding tails of text and of float32; but never so wide that anything would pass.
+    tolerance = np.minimum(1e-6 + 4 * float(np.finfo(t.dtype).eps) * scaled, 0.1)
+    return bool(np.all(np.abs(scaled - np.rint(scaled)) <= tolerance))
