@@ -1,0 +1,89 @@
+"""Many recordings, read one after the other or on any executor."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Iterator
+from concurrent.futures import Executor
+from functools import partial
+from os import PathLike, fsdecode
+from typing import TYPE_CHECKING, Any
+
+from evqr.errors import EvqrError
+from evqr.types import ReadResult, ReadStatus
+
+if TYPE_CHECKING:
+    from evqr.config import ReadConfig
+
+
+def read_many(
+    sources: Iterable[Any],
+    *,
+    executor: Executor | None = None,
+    config: ReadConfig | None = None,
+    sensor: tuple[int, int] | None = None,
+    time_unit: str | None = None,
+    backend: str = "auto",
+    device: str = "cpu",
+    threads: int | None = None,
+) -> Iterator[ReadResult]:
+    """Read many recordings; one that cannot be read is a result with its error and stops nothing.
+
+    Parameters
+    ----------
+    sources
+        What `read_codes` takes: paths, event arrays, ...  They travel to the workers of ``executor``: on
+        other machines, a path must lead to the same file.
+    executor
+        Any `concurrent.futures.Executor`, Dask's ``client.get_executor()`` included; the caller closes it.
+        None: in this thread, one by one.
+    config, sensor, time_unit, backend, device, threads
+        As for `read_codes`, the same for every source.
+
+    Yields
+    ------
+    ReadResult
+        In the order of ``sources``, each as soon as it and those before it are done.  Status ERROR, with the
+        message as ``reason``, where a source could not be read or its worker was lost.
+    """
+    read = partial(
+        _read_one,
+        config=config,
+        sensor=sensor,
+        time_unit=time_unit,
+        backend=backend,
+        device=device,
+        threads=threads,
+    )
+    if executor is None:
+        yield from map(read, sources)
+        return
+    # All are submitted at once: an executor does not say how many workers it has, and none should wait.
+    jobs = [(_name(source), executor.submit(read, source)) for source in sources]
+    try:
+        for name, job in jobs:
+            try:
+                yield job.result()
+            except Exception as error:  # the worker was lost, or the source cannot travel to it
+                yield _failed(name, error)
+    finally:
+        for _, job in jobs:
+            job.cancel()
+
+
+def _read_one(source: Any, **options: Any) -> ReadResult:
+    from evqr.reader import read_codes
+
+    try:
+        return read_codes(source, **options)
+    except Exception as error:  # whatever is wrong with one source must not end the others
+        return _failed(_name(source), error)
+
+
+def _failed(name: str, error: Exception) -> ReadResult:
+    # The messages of our own errors are complete; of any other, the kind is part of the message.
+    reason = str(error) if isinstance(error, EvqrError) else f"{type(error).__name__}: {error}"
+    return ReadResult(ReadStatus.ERROR, " ".join(reason.split()), (), {}, {}, name)
+
+
+def _name(source: Any) -> str:
+    return fsdecode(source) if isinstance(source, (str, PathLike)) else ""
