@@ -1,0 +1,219 @@
+"""What is simulated: the scene and the sensor, and the presets."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from dataclasses import dataclass
+from types import MappingProxyType
+from typing import Literal
+
+from evqr.errors import UsageError
+
+EcLevel = Literal["L", "M", "Q", "H"]
+
+
+def _require(ok: bool, name: str, value: object, wanted: str) -> None:
+    if not ok:
+        raise UsageError(f"simulate: {name} is {value!r}, but must be {wanted}")
+
+
+@dataclass(frozen=True, kw_only=True)
+class CodePlacement:
+    """One printed code and its place on the moving object.
+
+    Attributes
+    ----------
+    text        payload, not empty
+    version     1 to 40; None: the smallest that holds the text
+    ec          error correction level "L", "M", "Q" or "H"
+    mask        0 to 7; None: chosen as the standard says
+    module_px   width of a module [px], 1 to 100
+    angle       of the code's u axis against the image's x axis, towards +y [deg]
+    offset_px   of the code's centre from the object's centre: along the travel, across it [px]
+    invert      print light on dark
+    """
+
+    text: str
+    version: int | None = None
+    ec: EcLevel = "M"
+    mask: int | None = None
+    module_px: float = 6.0
+    angle: float = 30.0
+    offset_px: tuple[float, float] = (0.0, 0.0)
+    invert: bool = False
+
+    def __post_init__(self):
+        _require(bool(self.text), "text", self.text, "at least one character")
+        _require(self.ec in ("L", "M", "Q", "H"), "ec", self.ec, "one of L, M, Q, H")
+        _require(self.version is None or 1 <= self.version <= 40, "version", self.version, "1 to 40")
+        _require(self.mask is None or 0 <= self.mask <= 7, "mask", self.mask, "0 to 7")
+        _require(1.0 <= self.module_px <= 100.0, "module_px", self.module_px, "1 to 100 px")
+        _require(math.isfinite(self.angle), "angle", self.angle, "a finite number of degrees")
+
+
+@dataclass(frozen=True, kw_only=True)
+class SceneConfig:
+    """A flat object with printed codes that crosses a still background at constant speed.
+
+    Attributes
+    ----------
+    codes          printed on the object; none: barcodes, text and boxes that are no code instead
+    width, height  of the sensor [px]
+    direction      of travel in the image, from +x towards +y [deg]
+    speed_px_ms    speed at the centre of the view [px/ms], above 0
+    start          (x, y) of the object's centre at t = 0 [px]; None: so that half of the travel puts it at the centre
+    duration_us    length of the recording [us]; None: 40 px of travel, or the whole passage of codes that do not fit together
+    tilt           of the object's plane against the image plane [deg], below 60
+    tilt_axis      the axis it is tilted about, an angle in the image [deg]
+    focal_px       focal length, which says how strong the perspective of a tilt is [px]
+    white, black   light from the code's light and dark modules, relative to full light, 0 to 1
+    psf_px         standard deviation of the optics' and the pixel's blur [px], at least 0.3
+    seed           of textures and noise
+    """
+
+    codes: tuple[CodePlacement, ...] = ()
+    width: int = 640
+    height: int = 480
+    direction: float = 0.0
+    speed_px_ms: float = 4.0
+    start: tuple[float, float] | None = None
+    duration_us: int | None = None
+    tilt: float = 0.0
+    tilt_axis: float = 35.0
+    focal_px: float = 1000.0
+    white: float = 0.85
+    black: float = 0.10
+    psf_px: float = 0.6
+    seed: int = 0
+
+    def __post_init__(self):
+        _require(16 <= self.width <= 4096, "width", self.width, "16 to 4096 px")
+        _require(16 <= self.height <= 4096, "height", self.height, "16 to 4096 px")
+        _require(0.001 <= self.speed_px_ms <= 1000.0, "speed_px_ms", self.speed_px_ms, "0.001 to 1000 px/ms")
+        _require(math.isfinite(self.direction), "direction", self.direction, "a finite number of degrees")
+        _require(abs(self.tilt) < 60.0, "tilt", self.tilt, "below 60 degrees")
+        _require(self.duration_us is None or self.duration_us > 0, "duration_us", self.duration_us, "above 0")
+        _require(self.focal_px >= 100.0, "focal_px", self.focal_px, "at least 100 px")
+        _require(0.0 < self.black < self.white <= 1.0, "black, white", (self.black, self.white), "0 < black < white <= 1")
+        _require(0.3 <= self.psf_px <= 10.0, "psf_px", self.psf_px, "0.3 to 10 px")
+        _require(self.seed >= 0, "seed", self.seed, "0 or more")
+
+
+@dataclass(frozen=True, kw_only=True)
+class SensorConfig:
+    """An event camera: its pixels, then its noise, then its readout.
+
+    Attributes
+    ----------
+    threshold           log-intensity step of an ON event, mean over the pixels [log units]
+    off_to_on           mean OFF threshold over mean ON threshold
+    threshold_spread    standard deviation of both over the pixels [log units]
+    tau_us              time constant of the photoreceptor at full light (1.0) [us]; 0: it follows the light at once
+    tau_follows_light   time constant inversely proportional to the light (dark pixels are slow), not the same for all
+    refractory_us       time a pixel is held in reset after an event [us]
+    leak_hz             ON events a second and pixel that the leaking reference causes [Hz]
+    background_hz       background activity: random events a second and pixel, both polarities alike [Hz]
+    hot_fraction        share of the pixels that are hot
+    hot_hz              random events a second of a hot pixel, all of one polarity [Hz]
+    drop_rate           share of the events that is lost
+    jitter_us           standard deviation of the time stamps [us]
+    row_scan_us         time to scan all rows once; an event leaves when its row is next read [us]; 0: at once
+    readout_meps        events the readout carries [million a second]; 0: any number
+    readout_queue_us    events wait for the readout about this long before they are lost [us]
+    """
+
+    threshold: float = 0.2
+    off_to_on: float = 1.0
+    threshold_spread: float = 0.0
+    tau_us: float = 0.0
+    tau_follows_light: bool = True
+    refractory_us: float = 0.0
+    leak_hz: float = 0.0
+    background_hz: float = 0.0
+    hot_fraction: float = 0.0
+    hot_hz: float = 2000.0
+    drop_rate: float = 0.0
+    jitter_us: float = 0.0
+    row_scan_us: float = 0.0
+    readout_meps: float = 0.0
+    readout_queue_us: float = 200.0
+
+    def __post_init__(self):
+        _require(0.01 <= self.threshold <= 2.0, "threshold", self.threshold, "0.01 to 2 log units")
+        _require(0.1 <= self.off_to_on <= 10.0, "off_to_on", self.off_to_on, "0.1 to 10")
+        _require(0.0 <= self.hot_fraction <= 1.0, "hot_fraction", self.hot_fraction, "0 to 1")
+        _require(0.0 <= self.drop_rate < 1.0, "drop_rate", self.drop_rate, "0 to less than 1")
+        _require(self.readout_queue_us > 0.0, "readout_queue_us", self.readout_queue_us, "above 0")
+        for name in ("threshold_spread", "tau_us", "refractory_us", "leak_hz", "background_hz", "hot_hz", "jitter_us",
+                     "row_scan_us", "readout_meps"):
+            value = getattr(self, name)
+            _require(0.0 <= value < math.inf, name, value, "0 or more")
+
+
+#: Sensors by name.
+#:
+#: ``clean``  an ideal sensor: equal thresholds of 0.2, no lag, no noise, unlimited readout
+#: ``slow``   a good sensor in good light, for slow scenes
+#: ``fast``   a bright scene at speed: pixels lag, events are noisy and some are lost
+#: ``hard``   as fast, in less light: strong lag, heavy noise, nearly half of the events lost, a saturated readout
+#:
+#: Thresholds of 0.2 with a spread of about 0.03, an intensity-dependent bandwidth of some hundred to some thousand Hz, leak
+#: of 0.1 Hz and background activity of 1 to 10 Hz are what Hu, Liu and Delbruck measured and fitted ("v2e: From Video
+#: Frames to Realistic DVS Events", CVPR workshops 2021); 300 million events a second is the readout of the 640 x 480 sensor
+#: of the paper (Son et al., ISSCC 2017).
+PRESETS: Mapping[str, SensorConfig] = MappingProxyType(
+    {
+        "clean": SensorConfig(),
+        "slow": SensorConfig(
+            threshold_spread=0.03,
+            off_to_on=1.15,
+            tau_us=60.0,
+            refractory_us=50.0,
+            leak_hz=0.1,
+            background_hz=3.0,
+            hot_fraction=2e-4,
+            drop_rate=0.10,
+            jitter_us=15.0,
+            readout_meps=300.0,
+        ),
+        "fast": SensorConfig(
+            threshold_spread=0.03,
+            off_to_on=1.25,
+            tau_us=60.0,
+            refractory_us=60.0,
+            leak_hz=0.1,
+            background_hz=8.0,
+            hot_fraction=5e-4,
+            drop_rate=0.25,
+            jitter_us=25.0,
+            readout_meps=300.0,
+        ),
+        "hard": SensorConfig(
+            threshold=0.25,
+            threshold_spread=0.05,
+            off_to_on=1.4,
+            tau_us=120.0,
+            refractory_us=100.0,
+            leak_hz=0.3,
+            background_hz=30.0,
+            hot_fraction=1e-3,
+            drop_rate=0.40,
+            jitter_us=50.0,
+            row_scan_us=40.0,
+            readout_meps=60.0,
+        ),
+    }
+)
+
+#: Speed that `simulate` gives a preset's scene when none is asked for [px/ms].
+PRESET_SPEEDS_PX_MS: Mapping[str, float] = MappingProxyType({"clean": 4.0, "slow": 2.0, "fast": 8.0, "hard": 8.0})
+
+
+def sensor_of(preset: str | SensorConfig) -> SensorConfig:
+    """Return the sensor of a preset's name, or the sensor itself; raise UsageError for a name that is no preset."""
+    if isinstance(preset, SensorConfig):
+        return preset
+    if preset not in PRESETS:
+        raise UsageError(f"simulate: unknown preset {preset!r}; choose one of {', '.join(PRESETS)}")
+    return PRESETS[preset]

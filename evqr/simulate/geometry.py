@@ -1,0 +1,131 @@
+"""Where things are: codes on the object, the object in its plane, the plane in the image.
+
+Three frames, all in px except the first:
+
+    code    (u, v) modules from the outer corner of the top-left module
+    object  (along, across) the direction of travel, from the object's centre
+    plane   (X, Y) parallel to the image's axes where there is no tilt, from the centre of the view
+
+The object moves in its plane on a straight line, so that its path over each pixel is a straight line in the object's frame.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from evqr.errors import UsageError
+from evqr.simulate.config import SceneConfig
+from evqr.simulate.symbol import Symbol
+
+#: Travel of a recording whose duration is left open [px].
+DEFAULT_TRAVEL_PX = 40.0
+
+Matrix = NDArray[np.float64]
+
+
+def similarity(angle_deg: float, scale: float, shift: NDArray[np.float64]) -> Matrix:
+    """(3, 3) rotation by an angle [deg] from +x to +y, scaled, then shifted."""
+    c, s = scale * np.cos(np.deg2rad(angle_deg)), scale * np.sin(np.deg2rad(angle_deg))
+    return np.array([[c, -s, shift[0]], [s, c, shift[1]], [0.0, 0.0, 1.0]])
+
+
+def transform(homography: Matrix, points: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Map points (..., 2) by homographies (..., 3, 3), broadcast against each other."""
+    homogeneous = np.concatenate([points, np.ones_like(points[..., :1])], axis=-1)
+    mapped = (homography @ homogeneous[..., None])[..., 0]
+    return mapped[..., :2] / mapped[..., 2:]
+
+
+def plane_to_image(scene: SceneConfig) -> Matrix:
+    """Homography of a pinhole camera that looks at a plane tilted about an axis through the centre of the view."""
+    axis = np.deg2rad(scene.tilt_axis)
+    tilt = np.deg2rad(scene.tilt)
+    k = np.array([np.cos(axis), np.sin(axis), 0.0])
+    cross = np.array([[0.0, -k[2], k[1]], [k[2], 0.0, -k[0]], [-k[1], k[0], 0.0]])
+    rotation = np.eye(3) + np.sin(tilt) * cross + (1.0 - np.cos(tilt)) * cross @ cross
+    view = np.column_stack([rotation[:, 0], rotation[:, 1], [0.0, 0.0, scene.focal_px]])
+    f, cx, cy = scene.focal_px, (scene.width - 1) / 2, (scene.height - 1) / 2
+    return np.array([[f, 0.0, cx], [0.0, f, cy], [0.0, 0.0, 1.0]]) @ view / f
+
+
+def code_corners(symbol: Symbol, margin: float = 0.0) -> NDArray[np.float64]:
+    """(4, 2) outer corners of a code in its own frame, ``margin`` modules outside of it [modules]."""
+    low, high = -margin, len(symbol.modules) + margin
+    return np.array([[low, low], [high, low], [high, high], [low, high]])
+
+
+def code_to_object(symbol: Symbol, direction: float) -> Matrix:
+    """Homography from modules to the object's frame [px], for an object that travels in ``direction`` [deg]."""
+    p = symbol.placement
+    turned = similarity(p.angle - direction, p.module_px, np.zeros(2))
+    centre = np.full(2, len(symbol.modules) / 2)
+    turned[:2, 2] = np.asarray(p.offset_px) - turned[:2, :2] @ centre
+    return turned
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Motion:
+    """The object's straight path.
+
+    Attributes
+    ----------
+    plane_to_image : (3, 3)
+    direction : float            of travel in the plane [deg]
+    start : (2,)                 the object's centre at t = 0, in the plane [px]
+    speed : float                [px/us]
+    duration_us : int            length of the recording
+    """
+
+    plane_to_image: Matrix
+    direction: float
+    start: NDArray[np.float64]
+    speed: float
+    duration_us: int
+
+    def object_to_image(self, t_us: NDArray[np.float64] | float) -> Matrix:
+        """Homographies (..., 3, 3) from the object's frame to the image at times (...) [us]."""
+        heading = np.deg2rad(self.direction)
+        t = np.asarray(t_us, np.float64)
+        pose = np.broadcast_to(similarity(self.direction, 1.0, self.start), (*t.shape, 3, 3)).copy()
+        pose[..., 0, 2] += t * self.speed * np.cos(heading)
+        pose[..., 1, 2] += t * self.speed * np.sin(heading)
+        return self.plane_to_image @ pose
+
+
+def plan_motion(scene: SceneConfig, symbols: list[Symbol]) -> Motion:
+    """Fill in the start and the duration that a scene leaves open; raise UsageError for a code larger than the view."""
+    view = plane_to_image(scene)
+    horizon = view[2] @ np.array([[x, y, 1.0] for x in (-1e3, 1e3) for y in (-1e3, 1e3)]).T
+    if horizon.min() <= 0.05:
+        raise UsageError(f"simulate: a tilt of {scene.tilt:g} degrees shows the horizon; take a smaller tilt")
+    to_plane = similarity(scene.direction, 1.0, np.zeros(2))
+    corners = [transform(to_plane @ code_to_object(s, scene.direction), code_corners(s)) for s in symbols]
+    sensor = np.array([scene.width, scene.height])
+    for symbol, own in zip(symbols, corners, strict=True):
+        extent = np.ptp(transform(view, own - own.mean(axis=0)), axis=0)
+        if (extent > sensor).any():
+            most = symbol.placement.module_px * (sensor / extent).min()
+            raise UsageError(
+                f"simulate: version {symbol.version} at {symbol.placement.module_px:g} px a module takes "
+                f"{extent[0]:.0f}x{extent[1]:.0f} px at this angle, more than the sensor's {scene.width}x{scene.height}; "
+                f"take module_px below {most:.1f} or a lower version"
+            )
+
+    travel = DEFAULT_TRAVEL_PX
+    heading = to_plane[:2, 0]
+    if corners and scene.start is None and scene.duration_us is None:
+        group = np.concatenate(corners)
+        if (np.ptp(transform(view, group), axis=0) > sensor).any():
+            travel = float(sensor @ np.abs(heading) + 2 * np.abs(group @ heading).max())
+    speed = scene.speed_px_ms / 1000.0
+    duration = scene.duration_us or max(1, round(travel / speed))
+    if scene.start is None:
+        start = -0.5 * speed * duration * heading
+    else:
+        start = transform(np.linalg.inv(view), np.asarray(scene.start, np.float64))
+    return Motion(
+        plane_to_image=view, direction=scene.direction, start=start, speed=speed, duration_us=duration
+    )

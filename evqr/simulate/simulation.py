@@ -1,0 +1,116 @@
+"""A scene and a sensor in, events and truth out."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from evqr.simulate.config import PRESET_SPEEDS_PX_MS, CodePlacement, EcLevel, SceneConfig, SensorConfig, sensor_of
+from evqr.simulate.geometry import plan_motion
+from evqr.simulate.sensor import add_noise, read_out, run_pixels
+from evqr.simulate.symbol import make_symbol
+from evqr.simulate.texture import draw_background, draw_object
+from evqr.simulate.truth import truth_of
+from evqr.types import EventArray
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Simulation:
+    """A simulated recording.
+
+    Attributes
+    ----------
+    events : EventArray    t from 0 to below the duration
+    truth                  "truth", "truth2", ... to the fields of `truth_of`, one group a code; empty without codes
+    scene, sensor          what was simulated
+    """
+
+    events: EventArray
+    truth: Mapping[str, Mapping[str, Any]]
+    scene: SceneConfig
+    sensor: SensorConfig
+
+
+def simulate(
+    text: str = "EVQR",
+    *,
+    version: int | None = None,
+    ec: EcLevel = "M",
+    mask: int | None = None,
+    angle: float = 30.0,
+    direction: float = 0.0,
+    speed_px_ms: float | None = None,
+    module_px: float = 6.0,
+    preset: str | SensorConfig = "clean",
+    tilt: float = 0.0,
+    invert: bool = False,
+    code: bool = True,
+    codes: Sequence[CodePlacement] | None = None,
+    duration_us: int | None = None,
+    start: tuple[float, float] | None = None,
+    width: int = 640,
+    height: int = 480,
+    seed: int = 0,
+    threads: int | None = None,
+) -> Simulation:
+    """Simulate a printed code that passes an event camera.
+
+    Parameters
+    ----------
+    text, version, ec, mask, angle, module_px, invert
+        the code, as in `CodePlacement`
+    direction, tilt, duration_us, start, width, height, seed
+        the scene, as in `SceneConfig`
+    speed_px_ms
+        speed [px/ms]; None: the preset's, of `PRESET_SPEEDS_PX_MS` (4 for a sensor of your own)
+    preset
+        a name in `PRESETS`, or a sensor
+    code
+        False: no code, but things that look a little like one
+    codes
+        several codes on the same object, in place of the one that the arguments above describe
+    threads
+        number of threads; None: one a core, at most 8.  The result does not depend on it.
+
+    Raises
+    ------
+    UsageError
+        for values out of range, a text that its version cannot hold, a code larger than the view, or codes that overlap
+    """
+    sensor = sensor_of(preset)
+    if speed_px_ms is None:
+        speed_px_ms = PRESET_SPEEDS_PX_MS[preset] if isinstance(preset, str) else PRESET_SPEEDS_PX_MS["clean"]
+    if codes is None:
+        one = CodePlacement(
+            text=text, version=version, ec=ec, mask=mask, module_px=module_px, angle=angle, invert=invert
+        )
+        codes = [one] if code else []
+    scene = SceneConfig(
+        codes=tuple(codes),
+        width=width,
+        height=height,
+        direction=direction,
+        speed_px_ms=speed_px_ms,
+        start=start,
+        duration_us=duration_us,
+        tilt=tilt,
+        seed=seed,
+    )
+    return simulate_scene(scene, sensor, threads=threads)
+
+
+def simulate_scene(scene: SceneConfig, sensor: SensorConfig, *, threads: int | None = None) -> Simulation:
+    """Simulate a scene in front of a sensor; see `simulate`."""
+    symbols = [make_symbol(placement) for placement in scene.codes]
+    motion = plan_motion(scene, symbols)
+    # Streams of their own, so that a change of the sensor leaves the scene as it is.
+    scene_rng, sensor_rng = (np.random.default_rng(s) for s in np.random.SeedSequence(scene.seed).spawn(2))
+    texture = draw_object(scene, symbols, scene_rng)
+    background = draw_background(scene, scene_rng)
+    raw = run_pixels(scene, sensor, motion, texture, background, sensor_rng, threads)
+    noisy = add_noise(raw, scene, sensor, motion, sensor_rng)
+    events = read_out(noisy, scene, sensor, motion, sensor_rng)
+    return Simulation(events=events, truth=truth_of(scene, motion, symbols), scene=scene, sensor=sensor)
