@@ -1,0 +1,45 @@
+"""Frozen settings that kernels are built for."""
+
+import math
+from dataclasses import dataclass
+
+
+@dataclass(frozen=True, kw_only=True)
+class SplatConfig:
+    """Shape of an event's splat: a Gaussian that a polynomial takes to zero, smoothly, at ``radius_px``.
+
+    In one axis ``g(r) = exp(-r^2 / (2 epsilon^2)) (1 - (r / radius)^2)^2 / c`` for ``|r| < radius``, with c such that the
+    integral is 1.  A Gaussian that is just cut off makes the cost jump when an event crosses the cut.
+
+    Attributes
+    ----------
+    epsilon_px : standard deviation of the Gaussian before it is taken to zero, 0.3 to 8 [image px]
+    radius_px  : where the splat ends [image px]; by default three standard deviations
+    """
+
+    epsilon_px: float = 0.8
+    radius_px: float = 0.0
+
+    def __post_init__(self) -> None:
+        if not 0.3 <= self.epsilon_px <= 8.0:
+            raise ValueError(f"epsilon_px must be 0.3 to 8, got {self.epsilon_px}")
+        if self.radius_px == 0.0:
+            object.__setattr__(self, "radius_px", 3.0 * self.epsilon_px)
+        if not self.epsilon_px <= self.radius_px <= 32.0:
+            raise ValueError(f"radius_px must be epsilon_px to 32, got {self.radius_px}")
+
+    @property
+    def reach(self) -> int:
+        """Pixels on either side of the nearest one that a splat can touch."""
+        return math.ceil(self.radius_px - 0.5)
+
+    @property
+    def norm(self) -> float:
+        """1 / c: makes the integral of ``g`` 1."""
+        steps = 4000
+        h = 2.0 * self.radius_px / steps
+        total = 0.0
+        for k in range(1, steps):
+            s = -1.0 + 2.0 * k / steps
+            total += math.exp(-0.5 * (s * self.radius_px / self.epsilon_px) ** 2) * (1.0 - s * s) ** 2
+        return 1.0 / (total * h)
