@@ -18,6 +18,8 @@ if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
+    from evqr.recording import Recording
+
 ON, OFF, INK, GREY, FOUND = "#d9480f", "#1864ab", "#212529", "#adb5bd", "#2b8a3e"
 FALSE_DARK, FALSE_LIGHT = "#e6009e", "#2fb344"  # magenta and green, as in Figure 8 of the paper
 
@@ -33,6 +35,18 @@ def span_us(reading: CodeReading) -> tuple[int, int]:
     """Return the event times ``[start, end)`` [us] that `draw_reading` shows; it ends at ``t_read_us``."""
     start = max(reading.t_first_us, reading.t_read_us - _travel_us(reading, COMPENSATED_TRAVEL))
     return min(start, reading.t_read_us - 1), reading.t_read_us
+
+
+def picture_events(recording: Recording, reading: CodeReading) -> EventArray:
+    """Return the events of a recording that a picture of ``reading`` shows, in bounded memory."""
+    start, end = span_us(reading)
+    parts = []
+    for chunk in recording.chunks():
+        if chunk.t[0] >= end:
+            break
+        parts.append(chunk.between(start, end))
+    t, x, y, p = (np.concatenate([getattr(part, name) for part in parts]) for name in "txyp")
+    return EventArray(t, x, y, p, recording.width, recording.height)
 
 
 def save_picture(

@@ -1,0 +1,492 @@
+"""The command line: `evqr read | info | simulate | demo`.
+
+Results go to stdout; progress, notes and errors go to stderr.  Exit status: 0 something was read, 1 nothing
+was read, 2 bad input or bad use, 130 interrupted.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+import io
+import multiprocessing
+import os
+import signal
+import sys
+from collections.abc import Callable, Iterator, Sequence
+from concurrent.futures import ProcessPoolExecutor
+from contextlib import contextmanager
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import click
+
+from evqr import report
+from evqr.errors import EvqrError, UsageError
+from evqr.types import ReadResult, ReadStatus
+
+if TYPE_CHECKING:
+    from evqr.config import ReadConfig
+    from evqr.recording import Recording
+    from evqr.recording.source import TimeUnit
+
+OK, NOTHING, BAD, INTERRUPTED, PIPE_CLOSED = 0, 1, 2, 130, 141
+
+
+class SizeType(click.ParamType):
+    """``WxH`` in pixels."""
+
+    name = "WxH"
+
+    def convert(
+        self, value: Any, param: click.Parameter | None, ctx: click.Context | None
+    ) -> tuple[int, int]:
+        """Return (width, height)."""
+        if isinstance(value, tuple):
+            return value
+        width, _, height = str(value).lower().partition("x")
+        if not (width.isdecimal() and height.isdecimal() and int(width) and int(height)):
+            self.fail(
+                f"{value!r} is no sensor size; write it as width x height, for example 640x480", param, ctx
+            )
+        return int(width), int(height)
+
+
+class LagType(click.ParamType):
+    """``ON,OFF`` in microseconds."""
+
+    name = "ON,OFF"
+
+    def convert(
+        self, value: Any, param: click.Parameter | None, ctx: click.Context | None
+    ) -> tuple[float, float]:
+        """Return the lags of ON and of OFF events [us]."""
+        if isinstance(value, tuple):
+            return value
+        try:
+            on, off = (float(part) for part in str(value).split(","))
+        except ValueError:
+            self.fail(
+                f"{value!r} is no pair of lags; write microseconds as ON,OFF, for example 300,600", param, ctx
+            )
+        return on, off
+
+
+def main(arguments: Sequence[str] | None = None) -> None:
+    """Run the command line and exit with its status."""
+    sys.exit(run(arguments))
+
+
+def run(arguments: Sequence[str] | None = None) -> int:
+    """Run the command line; return its exit status."""
+    if isinstance(sys.stdout, io.TextIOWrapper):
+        sys.stdout.reconfigure(
+            errors="backslashreplace"
+        )  # a text that the terminal cannot show is no failure
+    try:
+        status = evqr.main(args=arguments, prog_name="evqr", standalone_mode=False)
+        sys.stdout.flush()
+        return status
+    except click.UsageError as error:
+        command = error.ctx.command_path if error.ctx else "evqr"
+        return _refuse(f"{error.format_message()} (see '{command} --help')")
+    except click.ClickException as error:
+        return _refuse(error.format_message())
+    except EvqrError as error:
+        return _refuse(str(error))
+    except (click.Abort, KeyboardInterrupt):
+        click.echo("evqr: interrupted", err=True)
+        return INTERRUPTED
+    except BrokenPipeError:
+        # The reader of our output left; Python would complain once more when it flushes stdout at exit.
+        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+        return PIPE_CLOSED
+
+
+def _refuse(message: str) -> int:
+    click.echo(f"evqr: {' '.join(message.split())}", err=True)
+    return BAD
+
+
+def _note(message: str) -> None:
+    click.echo(f"evqr: {message}", err=True)
+
+
+def _examples(*lines: str) -> str:
+    return "\b\nExamples:\n" + "\n".join(
+        f"  {line}" for line in lines
+    )  # \b: click leaves the lines as they are
+
+
+@click.group(
+    no_args_is_help=False,
+    context_settings={"help_option_names": ["-h", "--help"]},
+    epilog=_examples("evqr demo", "evqr read line3.raw"),
+)
+@click.version_option(package_name="evqr", message="evqr %(version)s")
+def evqr() -> None:
+    """Read 2-D codes from event-camera recordings."""
+
+
+def _recording_options(command: Callable[..., Any]) -> Callable[..., Any]:
+    """Add the options that say what a recording does not."""
+    for option in (
+        click.option(
+            "--time-unit",
+            type=click.Choice(["us", "ms", "s", "ns"]),
+            help="Unit of the stored time stamps, where the recording does not tell.",
+        ),
+        click.option("--sensor", type=SizeType(), help="Sensor size, where the recording does not tell."),
+    ):
+        command = option(command)
+    return command
+
+
+def _backend_options(command: Callable[..., Any]) -> Callable[..., Any]:
+    """Add the options that say where to compute."""
+    for option in (
+        click.option(
+            "--threads", type=click.IntRange(min=1), metavar="N", help="CPU threads; default: one a core."
+        ),
+        click.option(
+            "--device", default="cpu", show_default=True, help='Where to compute: "cpu", "cuda:0", ...'
+        ),
+        click.option(
+            "--backend",
+            type=click.Choice(["auto", "warp", "taichi", "numpy"]),
+            default="auto",
+            show_default=True,
+            help="What runs the kernels.",
+        ),
+    ):
+        command = option(command)
+    return command
+
+
+@evqr.command(
+    epilog=_examples(
+        "evqr read line3.raw",
+        "evqr read line3.h5 --json --picture line3.png",
+        "evqr read shift1/*.h5 --json --jobs 4",
+        "evqr read line3.h5 --each-window --max-windows 10",
+    )
+)
+@click.argument(
+    "recordings", nargs=-1, required=True, metavar="RECORDING...", type=click.Path(path_type=Path)
+)
+@click.option(
+    "--json", "as_json", is_flag=True, help="One JSON object a line on stdout, and nothing else there."
+)
+@_recording_options
+@click.option(
+    "--window-us",
+    type=click.IntRange(min=1),
+    metavar="N",
+    help="Length of a window; default: about 2 px of motion.",
+)
+@click.option("--max-windows", type=click.IntRange(min=1), metavar="N", help="Take at most so many windows.")
+@click.option("--each-window", is_flag=True, help="Read windows one by one, each from cold, a line each.")
+@click.option(
+    "--vote",
+    type=click.Choice(["mode", "soft", "information"]),
+    help="How windows are combined; default: the best measured.",
+)
+@click.option("--lag-us", type=LagType(), help="Lags of the pixels, in microseconds; default: estimated.")
+@_backend_options
+@click.option("--jobs", type=click.IntRange(min=1), default=1, metavar="N", help="Recordings read at a time.")
+@click.option("--picture", type=click.Path(path_type=Path), metavar="FILE", help="Draw the first reading.")
+def read(
+    recordings: tuple[Path, ...],
+    as_json: bool,
+    sensor: tuple[int, int] | None,
+    time_unit: TimeUnit | None,
+    window_us: int | None,
+    max_windows: int | None,
+    each_window: bool,
+    vote: str | None,
+    lag_us: tuple[float, float] | None,
+    backend: str,
+    device: str,
+    threads: int | None,
+    jobs: int,
+    picture: Path | None,
+) -> int:
+    """Read every code that passes, each once.
+
+    Exit status: 0 when something was read, 1 when nothing was read, 2 when any recording could not be used.
+    """
+    if len(recordings) != 1 and (each_window or picture):
+        raise UsageError(
+            f"{'--each-window' if each_window else '--picture'} takes one recording: name only one"
+        )
+    if each_window and picture:
+        raise UsageError("--picture draws a reading of the whole recording: leave out --each-window")
+    config = _read_config(window_us=window_us, max_windows=max_windows, lag_us=lag_us, vote=vote)
+    _prepare(backend, device)
+    compute = {"config": config, "backend": backend, "device": device}
+    told = {"sensor": sensor, "time_unit": time_unit}
+    if len(recordings) != 1:
+        if threads is None and jobs > 1:
+            threads = max(1, (os.cpu_count() or 1) // jobs)
+        return _read_many(recordings, jobs, as_json, threads=threads, **told, **compute)
+
+    from evqr.recording import open_recording
+
+    with open_recording(recordings[0], **told) as recording:
+        try:
+            if each_window:
+                return _read_each_window(recording, as_json, threads=threads, **compute)
+            return _read_one(recording, as_json, picture, threads=threads, **compute)
+        finally:
+            for warning in recording.warnings:
+                _note(f"{recording.path}: {warning}")
+
+
+def _read_config(**given: Any) -> ReadConfig:
+    from evqr.config import ReadConfig, Vote
+
+    given = {name: value for name, value in given.items() if value is not None}
+    if "vote" in given:
+        given["vote"] = Vote(given["vote"])
+    try:
+        return ReadConfig(**given)
+    except ValueError as error:
+        raise UsageError(str(error)) from error
+
+
+def _prepare(backend: str, device: str) -> None:
+    """Refuse a backend or a device that is not there; say so when kernels will be compiled."""
+    from evqr_kernels.backend import BackendUnavailable, get_backend
+
+    try:
+        kernels = get_backend(backend)
+    except BackendUnavailable as error:
+        raise UsageError(str(error)) from error
+    if device not in kernels.devices():
+        raise UsageError(
+            f"backend {kernels.name!r} has no device {device!r} here: choose {' or '.join(kernels.devices())}"
+        )
+    if kernels.needs_compile():
+        _note("compiling kernels for this machine (first run only) ...")
+
+
+def _read_one(recording: Recording, as_json: bool, picture: Path | None, **options: Any) -> int:
+    from evqr.reader import read_codes
+
+    with _progress_bar(Path(recording.path).name) as progress:
+        result = read_codes(recording, progress=progress, **options)
+    _show(result, as_json, {})
+    if picture and result.readings:
+        from evqr.picture import picture_events, save_picture
+
+        reading = result.readings[0]
+        save_picture(picture, picture_events(recording, reading), reading)
+    elif picture:
+        _note(f"nothing read: {picture} is not drawn")
+    return _exit_status([result.status])
+
+
+def _read_each_window(recording: Recording, as_json: bool, **options: Any) -> int:
+    from evqr.reader import read_windows
+
+    statuses = []
+    for window in read_windows(recording, **options):
+        click.echo(report.json_line(report.window_record(window)) if as_json else report.window_text(window))
+        statuses.append(window.status)
+    return _exit_status(statuses)
+
+
+def _read_many(recordings: tuple[Path, ...], jobs: int, as_json: bool, **options: Any) -> int:
+    from tqdm import tqdm
+
+    from evqr.many import read_many
+
+    statuses = []
+    with _process_pool(jobs) as pool:
+        results = read_many(recordings, executor=pool, **options)
+        # disable=None: no bar where stderr is no terminal
+        for path, result in zip(
+            tqdm(recordings, unit=" recording", leave=False, disable=None), results, strict=True
+        ):
+            with tqdm.external_write_mode():
+                if not as_json:
+                    click.echo(f"{path}:")
+                _show(result, as_json, {"recording": str(path)})
+            statuses.append(result.status)
+    return _exit_status(statuses)
+
+
+@contextmanager
+def _process_pool(jobs: int) -> Iterator[ProcessPoolExecutor | None]:
+    """Start workers as fresh processes: kernels and their threads do not survive a fork."""
+    if jobs == 1:
+        yield None
+        return
+    pool = ProcessPoolExecutor(
+        jobs,
+        mp_context=multiprocessing.get_context("spawn"),
+        # Ctrl-C reaches the workers too: let it end them at once, without a traceback each.
+        initializer=signal.signal,
+        initargs=(signal.SIGINT, signal.SIG_DFL),
+    )
+    try:
+        yield pool
+    finally:
+        pool.shutdown(cancel_futures=True)
+
+
+def _show(result: ReadResult, as_json: bool, extra: dict[str, Any]) -> None:
+    if as_json:
+        for record in report.result_records(result):
+            click.echo(report.json_line({**extra, **record}))
+    else:
+        click.echo(report.result_text(result))
+
+
+def _exit_status(statuses: Sequence[ReadStatus]) -> int:
+    if ReadStatus.ERROR in statuses:
+        return BAD
+    return OK if ReadStatus.READ in statuses else NOTHING
+
+
+@contextmanager
+def _progress_bar(name: str) -> Iterator[Callable[[int, int | None], None] | None]:
+    """Show a bar over the time of the recording, on a terminal only."""
+    if not sys.stderr.isatty():
+        yield None
+        return
+    from tqdm import tqdm
+
+    with tqdm(desc=name, unit="s", unit_scale=1e-6, leave=False) as bar:
+
+        def advance(done_us: int, total_us: int | None) -> None:
+            bar.total = total_us
+            bar.update(done_us - bar.n)
+
+        yield advance
+
+
+@evqr.command(epilog=_examples("evqr info line3.raw", "evqr info events.txt --sensor 640x480 --time-unit s"))
+@click.argument("recording", metavar="RECORDING", type=click.Path(path_type=Path))
+@click.option("--json", "as_json", is_flag=True, help="One JSON object on stdout.")
+@_recording_options
+def info(recording: Path, as_json: bool, sensor: tuple[int, int] | None, time_unit: TimeUnit | None) -> int:
+    """Tell what a recording holds, and anything suspicious in it."""
+    from evqr.recording import open_recording, summarise
+
+    with open_recording(recording, sensor=sensor, time_unit=time_unit) as opened:
+        found = dataclasses.asdict(summarise(opened))
+    if as_json:
+        click.echo(report.json_line(found))
+    else:
+        for name, value in found.items():
+            lines = value if isinstance(value, (list, tuple)) else [value]
+            for line in lines or ["none"]:
+                click.echo(f"{name.replace('_', ' '):18s}  {line}")
+    return OK
+
+
+@evqr.command(
+    epilog=_examples('evqr simulate pass.h5 --text "LOT 42" --preset fast --seed 1', "evqr read pass.h5")
+)
+@click.argument("output", metavar="OUT.h5", type=click.Path(path_type=Path))
+@click.option("--text", default="EVQR", show_default=True, help="What the code says.")
+@click.option(
+    "--version", type=click.IntRange(1, 40), metavar="1-40", help="Default: the smallest that fits."
+)
+@click.option("--ec", type=click.Choice(["L", "M", "Q", "H"]), default="M", show_default=True)
+@click.option("--mask", type=click.IntRange(0, 7), metavar="0-7", help="Default: as the standard chooses.")
+@click.option("--angle", type=float, default=30.0, show_default=True, help="Of the code in the image [deg].")
+@click.option("--direction", type=float, default=0.0, show_default=True, help="Of travel in the image [deg].")
+@click.option("--speed-px-ms", type=float, help="Speed in the image [px/ms]; default: the preset's.")
+@click.option("--module-px", type=float, default=6.0, show_default=True, help="Width of a module [px].")
+@click.option(
+    "--preset",
+    type=click.Choice(["clean", "slow", "fast", "hard"]),
+    default="clean",
+    show_default=True,
+    help="The sensor and the light.",
+)
+@click.option("--tilt", type=float, default=0.0, show_default=True, help="Of the object's plane [deg].")
+@click.option("--invert", is_flag=True, help="Print light on dark.")
+@click.option("--no-code", is_flag=True, help="Print things that look a little like a code, but no code.")
+@click.option("--sensor", type=SizeType(), default="640x480", show_default=True, help="Sensor size.")
+@click.option("--duration-us", type=click.IntRange(min=1), metavar="N", help="Default: long enough to read.")
+@click.option("--seed", type=click.IntRange(min=0), default=0, show_default=True)
+def simulate(
+    output: Path,
+    text: str,
+    version: int | None,
+    ec: Any,
+    mask: int | None,
+    angle: float,
+    direction: float,
+    speed_px_ms: float | None,
+    module_px: float,
+    preset: str,
+    tilt: float,
+    invert: bool,
+    no_code: bool,
+    sensor: tuple[int, int],
+    duration_us: int | None,
+    seed: int,
+) -> int:
+    """Simulate a printed code that passes an event camera, and write its events with the truth."""
+    from evqr.recording import save_recording
+    from evqr.simulate import simulate as run_simulation
+
+    made = run_simulation(
+        text,
+        version=version,
+        ec=ec,
+        mask=mask,
+        angle=angle,
+        direction=direction,
+        speed_px_ms=speed_px_ms,
+        module_px=module_px,
+        preset=preset,
+        tilt=tilt,
+        invert=invert,
+        code=not no_code,
+        width=sensor[0],
+        height=sensor[1],
+        duration_us=duration_us,
+        seed=seed,
+    )
+    save_recording(output, made.events, truth=made.truth)
+    events = made.events
+    duration_ms = (int(events.t[-1]) - int(events.t[0])) / 1000 if len(events) else 0.0
+    click.echo(f"{output}: {len(events):,} events in {duration_ms:.1f} ms, {events.width}x{events.height}")
+    return OK
+
+
+@evqr.command(epilog=_examples("evqr demo --picture demo.png"))
+@click.option(
+    "--picture",
+    type=click.Path(path_type=Path),
+    default="evqr-demo.png",
+    show_default=True,
+    metavar="FILE",
+    help="Where the picture goes.",
+)
+@_backend_options
+def demo(picture: Path, backend: str, device: str, threads: int | None) -> int:
+    """Read the recording that comes with evqr, and draw how it was read."""
+    from evqr.demo import demo_recording, demo_truth
+    from evqr.picture import picture_events, save_picture
+    from evqr.reader import read_codes
+    from evqr.recording import open_recording
+
+    _prepare(backend, device)
+    with demo_recording() as path, open_recording(path) as recording:
+        with _progress_bar(path.name) as progress:
+            result = read_codes(recording, backend=backend, device=device, threads=threads, progress=progress)
+        _show(result, False, {})
+        if result.readings:
+            reading = result.readings[0]
+            save_picture(picture, picture_events(recording, reading), reading, truth=demo_truth(path))
+            click.echo(f"picture: {picture}")
+    return _exit_status([result.status])
+
+
+if __name__ == "__main__":
+    main()
