@@ -1,0 +1,77 @@
+"""How likely a reading is mere chance: the argument behind the confidence of a reading.
+
+The chance hypothesis: there is no code, so the signs of the estimated modules are fair coins, whatever their
+magnitudes.  A Reed-Solomon block with k data codewords has 256^k valid contents.  The expected number of
+contents that agree with such coins at least as well as the one that was read is
+
+    F = 256^k P(sum_i w_i s_i >= sum_i w_i a_i),
+
+with fair signs s_i, a_i = +1 where module i agrees with the content read and -1 where it does not, and
+weights w_i that depend on magnitudes alone.  F bounds the probability that any decoder whatsoever, after any
+number of attempts, finds so good a content by chance.  Chernoff's inequality bounds the tail,
+
+    P <= min over lambda > 0 of  exp(-lambda sum_i w_i a_i)  prod_i cosh(lambda w_i),
+
+for every lambda (so the minimum need not be exact).  When all n modules agree, P is 2^-n.
+
+Symbols are rarely full: the pad codewords 0xEC and 0x11 fill them in turn, and p pads leave 256^(k - p)
+contents.  Half of the prior weight goes to blocks without pads and half, in equal parts, to the 2 k ways to end
+in pads (how many, and which is last), so 2 min(256^k, 2 k 256^(k - p)) stands in place of 256^k.
+
+Blocks are judged one by one: where all others are right beyond doubt, chance in one is a wrong text all the
+same.  The sum of F over the blocks bounds the probability that at least one of them is chance.
+"""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+from numpy.typing import NDArray
+
+PAD_CODEWORDS = (0xEC, 0x11)
+_LN_256 = math.log(256.0)
+_NEWTON_STEPS = 4
+
+
+def log_chance_contents(agreement: NDArray[np.floating], n_data: int, n_pads: int) -> float:
+    """Return the natural logarithm of F for one block.
+
+    Parameters
+    ----------
+    agreement : (8 n,) float   weight of each bit's module, times +1 where it agrees with the content, else -1
+    n_data                     data codewords of the block
+    n_pads                     pad codewords among them
+    """
+    contents = n_data * _LN_256
+    if n_pads:
+        contents = min(contents, math.log(2 * n_data) + (n_data - n_pads) * _LN_256)
+    return math.log(2.0) + contents + log_tail(agreement)
+
+
+def log_tail(agreement: NDArray[np.floating]) -> float:
+    """Return the log of Chernoff's bound on the probability that fair signs bring as large a sum."""
+    total = float(agreement.sum())
+    weights = np.abs(agreement)
+    most = float(weights.sum())
+    if total <= 0.0:
+        return 0.0
+    if not (agreement < 0.0).any():
+        return -math.log(2.0) * np.count_nonzero(weights)
+    # Newton's method for the root of the derivative, which is concave: from its left, it never overshoots.
+    rate = math.atanh(total / most) / float(weights.max())
+    for _ in range(_NEWTON_STEPS):
+        slope = np.tanh(rate * weights)
+        gap = total - float(weights @ slope)
+        rate += gap / float(weights**2 @ (1.0 - slope**2))
+    scaled = rate * weights
+    log_cosh = scaled + np.log1p(np.exp(-2.0 * scaled)) - math.log(2.0)
+    return min(0.0, float(log_cosh.sum()) - rate * total)
+
+
+def count_pads(data: NDArray[np.uint8]) -> int:
+    """Return how many codewords at the end of a block's data are pads, 0xEC and 0x11 in turn."""
+    is_pad = np.isin(data, PAD_CODEWORDS)
+    is_pad[:-1] &= data[:-1] != data[1:]
+    others = np.flatnonzero(~is_pad)
+    return len(data) - 1 - int(others[-1]) if len(others) else len(data)
