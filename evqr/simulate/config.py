@@ -62,8 +62,9 @@ class SceneConfig:
     width, height  of the sensor [px]
     direction      of travel in the image, from +x towards +y [deg]
     speed_px_ms    speed at the centre of the view [px/ms], above 0
-    start          (x, y) of the object's centre at t = 0 [px]; None: so that half of the travel puts it at the centre
-    duration_us    length of the recording [us]; None: 40 px of travel, or the whole passage of codes that do not fit together
+    start          (x, y) of the object's centre at t = 0 [px]; None: half of the travel puts it at the view's centre
+    duration_us    length of the recording [us]; None: 40 px of travel, or the whole passage of several codes that
+                   the view does not hold together
     tilt           of the object's plane against the image plane [deg], below 60
     tilt_axis      the axis it is tilted about, an angle in the image [deg]
     focal_px       focal length, which says how strong the perspective of a tilt is [px]
@@ -95,7 +96,12 @@ class SceneConfig:
         _require(abs(self.tilt) < 60.0, "tilt", self.tilt, "below 60 degrees")
         _require(self.duration_us is None or self.duration_us > 0, "duration_us", self.duration_us, "above 0")
         _require(self.focal_px >= 100.0, "focal_px", self.focal_px, "at least 100 px")
-        _require(0.0 < self.black < self.white <= 1.0, "black, white", (self.black, self.white), "0 < black < white <= 1")
+        _require(
+            0.0 < self.black < self.white <= 1.0,
+            "black, white",
+            (self.black, self.white),
+            "0 < black < white <= 1",
+        )
         _require(0.3 <= self.psf_px <= 10.0, "psf_px", self.psf_px, "0.3 to 10 px")
         _require(self.seed >= 0, "seed", self.seed, "0 or more")
 
@@ -109,8 +115,8 @@ class SensorConfig:
     threshold           log-intensity step of an ON event, mean over the pixels [log units]
     off_to_on           mean OFF threshold over mean ON threshold
     threshold_spread    standard deviation of both over the pixels [log units]
-    tau_us              time constant of the photoreceptor at full light (1.0) [us]; 0: it follows the light at once
-    tau_follows_light   time constant inversely proportional to the light (dark pixels are slow), not the same for all
+    tau_us              time constant of the photoreceptor at full light (1.0) [us]; 0: no lag
+    tau_follows_light   time constant inversely proportional to the light: dark pixels are slow
     refractory_us       time a pixel is held in reset after an event [us]
     leak_hz             ON events a second and pixel that the leaking reference causes [Hz]
     background_hz       background activity: random events a second and pixel, both polarities alike [Hz]
@@ -145,8 +151,17 @@ class SensorConfig:
         _require(0.0 <= self.hot_fraction <= 1.0, "hot_fraction", self.hot_fraction, "0 to 1")
         _require(0.0 <= self.drop_rate < 1.0, "drop_rate", self.drop_rate, "0 to less than 1")
         _require(self.readout_queue_us > 0.0, "readout_queue_us", self.readout_queue_us, "above 0")
-        for name in ("threshold_spread", "tau_us", "refractory_us", "leak_hz", "background_hz", "hot_hz", "jitter_us",
-                     "row_scan_us", "readout_meps"):
+        for name in (
+            "threshold_spread",
+            "tau_us",
+            "refractory_us",
+            "leak_hz",
+            "background_hz",
+            "hot_hz",
+            "jitter_us",
+            "row_scan_us",
+            "readout_meps",
+        ):
             value = getattr(self, name)
             _require(0.0 <= value < math.inf, name, value, "0 or more")
 
@@ -158,10 +173,9 @@ class SensorConfig:
 #: ``fast``   a bright scene at speed: pixels lag, events are noisy and some are lost
 #: ``hard``   as fast, in less light: strong lag, heavy noise, nearly half of the events lost, a saturated readout
 #:
-#: Thresholds of 0.2 with a spread of about 0.03, an intensity-dependent bandwidth of some hundred to some thousand Hz, leak
-#: of 0.1 Hz and background activity of 1 to 10 Hz are what Hu, Liu and Delbruck measured and fitted ("v2e: From Video
-#: Frames to Realistic DVS Events", CVPR workshops 2021); 300 million events a second is the readout of the 640 x 480 sensor
-#: of the paper (Son et al., ISSCC 2017).
+#: Thresholds of 0.2 with a spread of 0.03, a bandwidth that follows the light, leak of 0.1 Hz and background activity
+#: of some Hz are the usual values of v2e (Hu, Liu, Delbruck, "v2e: From Video Frames to Realistic DVS Events", CVPR
+#: workshops 2021); 300 million events a second is the readout of the paper's sensor (Son et al., ISSCC 2017).
 PRESETS: Mapping[str, SensorConfig] = MappingProxyType(
     {
         "clean": SensorConfig(),
@@ -207,11 +221,13 @@ PRESETS: Mapping[str, SensorConfig] = MappingProxyType(
 )
 
 #: Speed that `simulate` gives a preset's scene when none is asked for [px/ms].
-PRESET_SPEEDS_PX_MS: Mapping[str, float] = MappingProxyType({"clean": 4.0, "slow": 2.0, "fast": 8.0, "hard": 8.0})
+PRESET_SPEEDS_PX_MS: Mapping[str, float] = MappingProxyType(
+    {"clean": 4.0, "slow": 2.0, "fast": 8.0, "hard": 8.0}
+)
 
 
 def sensor_of(preset: str | SensorConfig) -> SensorConfig:
-    """Return the sensor of a preset's name, or the sensor itself; raise UsageError for a name that is no preset."""
+    """Return the sensor of a preset's name, or the sensor itself; raise UsageError for an unknown name."""
     if isinstance(preset, SensorConfig):
         return preset
     if preset not in PRESETS:

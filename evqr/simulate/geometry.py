@@ -6,7 +6,7 @@ Three frames, all in px except the first:
     object  (along, across) the direction of travel, from the object's centre
     plane   (X, Y) parallel to the image's axes where there is no tilt, from the centre of the view
 
-The object moves in its plane on a straight line, so that its path over each pixel is a straight line in the object's frame.
+The object moves in its plane on a straight line, so that each pixel's path over it is a straight line too.
 """
 
 from __future__ import annotations
@@ -14,7 +14,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 
 from evqr.errors import UsageError
 from evqr.simulate.config import SceneConfig
@@ -40,7 +40,7 @@ def transform(homography: Matrix, points: NDArray[np.float64]) -> NDArray[np.flo
 
 
 def plane_to_image(scene: SceneConfig) -> Matrix:
-    """Homography of a pinhole camera that looks at a plane tilted about an axis through the centre of the view."""
+    """Homography of a pinhole camera that looks at a plane tilted about an axis through the view's centre."""
     axis = np.deg2rad(scene.tilt_axis)
     tilt = np.deg2rad(scene.tilt)
     k = np.array([np.cos(axis), np.sin(axis), 0.0])
@@ -58,7 +58,7 @@ def code_corners(symbol: Symbol, margin: float = 0.0) -> NDArray[np.float64]:
 
 
 def code_to_object(symbol: Symbol, direction: float) -> Matrix:
-    """Homography from modules to the object's frame [px], for an object that travels in ``direction`` [deg]."""
+    """Homography from modules to the frame of an object that travels in ``direction`` [deg]."""
     p = symbol.placement
     turned = similarity(p.angle - direction, p.module_px, np.zeros(2))
     centre = np.full(2, len(symbol.modules) / 2)
@@ -85,7 +85,7 @@ class Motion:
     speed: float
     duration_us: int
 
-    def object_to_image(self, t_us: NDArray[np.float64] | float) -> Matrix:
+    def object_to_image(self, t_us: ArrayLike) -> Matrix:
         """Homographies (..., 3, 3) from the object's frame to the image at times (...) [us]."""
         heading = np.deg2rad(self.direction)
         t = np.asarray(t_us, np.float64)
@@ -96,7 +96,7 @@ class Motion:
 
 
 def plan_motion(scene: SceneConfig, symbols: list[Symbol]) -> Motion:
-    """Fill in the start and the duration that a scene leaves open; raise UsageError for a code larger than the view."""
+    """Fill in the start and duration that a scene leaves open; raise UsageError for a code larger than the view."""
     view = plane_to_image(scene)
     horizon = view[2] @ np.array([[x, y, 1.0] for x in (-1e3, 1e3) for y in (-1e3, 1e3)]).T
     if horizon.min() <= 0.05:
@@ -110,8 +110,8 @@ def plan_motion(scene: SceneConfig, symbols: list[Symbol]) -> Motion:
             most = symbol.placement.module_px * (sensor / extent).min()
             raise UsageError(
                 f"simulate: version {symbol.version} at {symbol.placement.module_px:g} px a module takes "
-                f"{extent[0]:.0f}x{extent[1]:.0f} px at this angle, more than the sensor's {scene.width}x{scene.height}; "
-                f"take module_px below {most:.1f} or a lower version"
+                f"{extent[0]:.0f}x{extent[1]:.0f} px at this angle, more than the sensor's "
+                f"{scene.width}x{scene.height}; take module_px below {most:.1f} or a lower version"
             )
 
     travel = DEFAULT_TRAVEL_PX

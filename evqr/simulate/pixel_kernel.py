@@ -1,19 +1,23 @@
 """The pixels of an event camera, one thread a pixel, on the Warp CPU device.
 
-A moving object is a texture whose rows lie along the direction of travel, so each pixel walks backwards along one texture
-row at constant speed.  The knots of its signal are the moments at which it crosses a texture column: the logarithm X of
-the light is known there and linear in between.  Inside one segment of such a ramp the photoreceptor, the low-pass
+A moving object is a texture whose rows lie along the direction of travel, so each pixel walks backwards along one
+texture row at constant speed.  The knots of its signal are the moments at which it crosses a texture column: the
+logarithm X of the light is known there, and linear in between.  In one segment of such a ramp the photoreceptor, a
+low-pass of bandwidth r [rad/us],
 
-    dY/dt = (X - Y) r,      r = bandwidth (rad/us), constant in a segment
+    dY/dt = r (X - Y),
 
-and the reference that leaks by ``leak`` a microsecond give, s microseconds after the start of the segment, a level above
-the last event of
+and a reference that leaks put the pixel, s microseconds after the segment's start, above its last event by
 
-    level(s) = level + slope s - lag (1 - exp(-r s)),      slope = dX/dt + leak,      lag = Y - X + (dX/dt) / r
+    level(s) = level + slope s - lag (1 - exp(-r s)),    slope = dX/dt + leak,    lag = Y - X + (dX/dt) / r
 
-Events are the crossings of level(s) through +on or -off, found by bracketed Newton steps on this closed form: no frames
-and no time step enter.  After an event the pixel is held in reset for the refractory time and starts again from level 0.
+Events are the crossings of level(s) through +on or -off, found by bracketed Newton steps on this closed form: there
+are no frames.  After an event the pixel is held in reset for the refractory time and starts again from level 0.
 """
+
+# A kernel is written in Warp's own language: pyright takes its types, indices and operators for Python's.
+# pyright: reportInvalidTypeForm=false, reportAssignmentType=false, reportGeneralTypeIssues=false
+# pyright: reportIndexIssue=false, reportOperatorIssue=false
 
 import warp as wp
 
@@ -68,13 +72,15 @@ def walk_pixels(
 ):
     """Write the events of each pixel; launch: (rows of a band, sensor width).
 
-    texture : (V, U) light of the object times its coverage; cover_along (U,), cover_across (V,): the coverage's factors
+    texture : (V, U) light of the object times its coverage
+    cover_along, cover_across : (U,), (V,) factors of the coverage
     background : (height, width) light where the object does not cover
     pixel : (height, width, 3) threshold on, threshold off (log units), level at the start
     image_to_texture : homography to (texture column, texture row) at the start
     clock_us : start, end, microseconds a texture column
-    response : bandwidth in the dark and per unit of light [rad/us] (both 0: no low-pass), refractory time [us], leak rate [1/us]
-    n_events_out : (1,) ACCUMULATED; may exceed the capacity of the two arrays below: then call again with larger ones
+    response : bandwidth in the dark, bandwidth per unit of light [rad/us] (both 0: no low-pass), refractory time
+        [us], leak rate [1/us]
+    n_events_out : (1,) ACCUMULATED; beyond the capacity of the arrays below: launch again with larger ones
     t_out, address_out : (capacity,) time [us] and 2 (row width + column) + (1 if brighter), grouped by pixel
     """
     band_row, column = wp.tid()
@@ -84,7 +90,7 @@ def walk_pixels(
     end = clock_us[1]
     knot_us = clock_us[2]
 
-    # Where the walk begins: the next texture column at or ahead of the pixel, or the object's front while that is still to come.
+    # The walk begins at the next texture column ahead of the pixel, or when the object's front comes.
     at = image_to_texture * wp.vec3d(wp.float64(column), wp.float64(row), wp.float64(1.0))
     along = at[0] / at[2]
     across = at[1] / at[2]

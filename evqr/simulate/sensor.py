@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from evqr.simulate.config import SceneConfig, SensorConfig
-from evqr.simulate.geometry import Motion, similarity
+from evqr.simulate.geometry import Motion
 from evqr.simulate.texture import TEXELS, Texture
 from evqr.types import EventArray
 
@@ -56,9 +56,14 @@ def run_pixels(
     shape = (scene.height, scene.width)
     noise = rng.standard_normal((*shape, 2), np.float32) * np.float32(sensor.threshold_spread)
     pixel = np.empty((*shape, 3), np.float32)
-    pixel[..., :2] = np.maximum(noise + np.float32(sensor.threshold) * np.array([1.0, sensor.off_to_on], np.float32), LEAST_THRESHOLD)
+    pixel[..., :2] = np.maximum(
+        noise + np.float32(sensor.threshold) * np.array([1.0, sensor.off_to_on], np.float32), LEAST_THRESHOLD
+    )
     # A still pixel's level lies anywhere between its thresholds.
-    pixel[..., 2] = rng.random(shape, np.float32) * pixel[..., :2].sum(axis=-1) * np.float32(0.98) - np.float32(0.99) * pixel[..., 1]
+    pixel[..., 2] = (
+        rng.random(shape, np.float32) * pixel[..., :2].sum(axis=-1) * np.float32(0.98)
+        - np.float32(0.99) * pixel[..., 1]
+    )
 
     start_us = -RUN_IN_PX / motion.speed
     to_texture = np.diag([*TEXELS, 1.0])
@@ -86,7 +91,10 @@ def run_pixels(
             address = np.empty(capacity, np.int32)
             outputs = [wp.array(a, device="cpu", copy=False) for a in (count, t, address)]
             wp.launch(
-                pixel_kernel.walk_pixels, dim=(rows, scene.width), inputs=[*still, first_row, *outputs], device="cpu"
+                pixel_kernel.walk_pixels,
+                dim=(rows, scene.width),
+                inputs=[*still, first_row, *outputs],
+                device="cpu",
             )
             if count[0] <= capacity:
                 return t[: count[0]], address[: count[0]]
@@ -95,11 +103,14 @@ def run_pixels(
     with ThreadPoolExecutor(threads or min(os.cpu_count() or 1, 8)) as pool:
         bands = list(pool.map(run_band, range(0, scene.height, BAND_ROWS)))
     return RawEvents(
-        t=np.concatenate([t for t, _ in bands]), address=np.concatenate([a for _, a in bands]).astype(np.int64)
+        t=np.concatenate([t for t, _ in bands]),
+        address=np.concatenate([a for _, a in bands]).astype(np.int64),
     )
 
 
-def add_noise(events: RawEvents, scene: SceneConfig, sensor: SensorConfig, motion: Motion, rng: np.random.Generator) -> RawEvents:
+def add_noise(
+    events: RawEvents, scene: SceneConfig, sensor: SensorConfig, motion: Motion, rng: np.random.Generator
+) -> RawEvents:
     """Add background activity and hot pixels, lose some events, and shake the time stamps."""
     start_us = -RUN_IN_PX / motion.speed
     length_us = motion.duration_us - start_us
@@ -122,14 +133,16 @@ def add_noise(events: RawEvents, scene: SceneConfig, sensor: SensorConfig, motio
     return RawEvents(t=t, address=address)
 
 
-def read_out(events: RawEvents, scene: SceneConfig, sensor: SensorConfig, motion: Motion, rng: np.random.Generator) -> EventArray:
+def read_out(
+    events: RawEvents, scene: SceneConfig, sensor: SensorConfig, motion: Motion, rng: np.random.Generator
+) -> EventArray:
     """Sort the events, send them through the readout, and stamp whole microseconds."""
     t, address = events.t, events.address
     if sensor.row_scan_us > 0.0:
         turn = (address // (2 * scene.width)) * (sensor.row_scan_us / scene.height)
         t = np.ceil((t - turn) / sensor.row_scan_us) * sensor.row_scan_us + turn
 
-    # One integer a event, time before address: a plain sort of these is the fastest, and leaves nothing to chance.
+    # One integer an event, time before address: a plain sort of these is fast, and leaves no order to chance.
     bits = (2 * scene.width * scene.height - 1).bit_length()
     before = int(np.ceil(-t.min(initial=0.0))) + 1
     key = np.sort(((np.rint(t).astype(np.int64) + before) << bits) | address)
@@ -154,8 +167,8 @@ def _queue(
     stamp: NDArray[np.int64], address: NDArray[np.int64], sensor: SensorConfig, rng: np.random.Generator
 ) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
     """Let events leave one by one at the readout's rate; those that would wait too long are lost."""
-    # In each stretch of the queue's length the readout carries so many; a random choice among the others is lost, for a
-    # pixel that waits blocks its own next event wherever it lies.
+    # In each stretch of the queue's length the readout carries so many events; which of the others are lost is
+    # random, for a pixel that waits misses its own next event, wherever it lies.
     stretch = np.floor_divide(stamp, sensor.readout_queue_us).astype(np.int64)
     _, first, count = np.unique(stretch, return_index=True, return_counts=True)
     capacity = max(1, int(sensor.readout_meps * sensor.readout_queue_us))

@@ -8,7 +8,14 @@ from typing import Any
 
 import numpy as np
 
-from evqr.simulate.config import PRESET_SPEEDS_PX_MS, CodePlacement, EcLevel, SceneConfig, SensorConfig, sensor_of
+from evqr.simulate.config import (
+    PRESET_SPEEDS_PX_MS,
+    CodePlacement,
+    EcLevel,
+    SceneConfig,
+    SensorConfig,
+    sensor_of,
+)
 from evqr.simulate.geometry import plan_motion
 from evqr.simulate.sensor import add_noise, read_out, run_pixels
 from evqr.simulate.symbol import make_symbol
@@ -24,7 +31,7 @@ class Simulation:
     Attributes
     ----------
     events : EventArray    t from 0 to below the duration
-    truth                  "truth", "truth2", ... to the fields of `truth_of`, one group a code; empty without codes
+    truth                  "truth", "truth2", ..., one a code, to the fields of `truth_of`; empty without codes
     scene, sensor          what was simulated
     """
 
@@ -78,7 +85,7 @@ def simulate(
     Raises
     ------
     UsageError
-        for values out of range, a text that its version cannot hold, a code larger than the view, or codes that overlap
+        for values out of range, a text that its version cannot hold, a code larger than the view, overlapping codes
     """
     sensor = sensor_of(preset)
     if speed_px_ms is None:

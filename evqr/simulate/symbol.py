@@ -23,7 +23,7 @@ class Symbol:
     ----------
     placement : CodePlacement
     version, ec_level, mask
-    modules : (n, n) uint8    1 = dark, of the symbol itself (an inverted print changes the light, not the symbol)
+    modules : (n, n) uint8    1 = dark; of the symbol, not of an inverted print
     """
 
     placement: CodePlacement
