@@ -1,0 +1,82 @@
+"""Results as the reader gives them, made by hand: for tests of what is done with results."""
+
+from __future__ import annotations
+
+import dataclasses
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from evqr.recording import save_recording
+from evqr.types import CodeReading, EventArray, ReadResult, ReadStatus, WindowReading
+
+RNG = np.random.default_rng(5)
+MODULES = np.where(RNG.random((21, 21)) < 0.5, -1, 1).astype(np.int8)
+
+READING = CodeReading(
+    text="LOT 42",
+    data=b"LOT 42",
+    symbology="QRCode",
+    version=1,
+    ec_level="M",
+    mask=3,
+    t_first_us=1000,
+    t_last_us=21000,
+    t_read_us=9000,
+    windows=4,
+    corners_px=np.array([[40.0, 30.0], [124.0, 30.0], [124.0, 114.0], [40.0, 114.0]]),
+    motion_px_per_s=np.array([4000.0, -500.0]),
+    confidence=0.987654,
+    errors_corrected=2,
+    modules=MODULES,
+    estimate=(0.8 * MODULES).astype(np.float32),
+    compute_ms={"motion": 1.25, "total": 31.0},
+)
+
+WINDOW = WindowReading(
+    status=ReadStatus.READ,
+    reason="",
+    window=0,
+    t_start_us=1000,
+    t_end_us=1250,
+    n_events=321,
+    text="LOT 42",
+    version=1,
+    modules=(0.8 * MODULES).astype(np.float32),
+    motion_px_per_s=np.array([4000.0, -500.0]),
+    affine=np.array([[0.25, 0.0, -10.5], [0.0, 0.25, -8.0]]),
+    stage_one_iterations=12,
+    stage_two_iterations=15,
+    compute_ms={"motion": 1.25, "total": 31.0},
+)
+
+
+def reading(**changes: Any) -> CodeReading:
+    return dataclasses.replace(READING, **changes)
+
+
+def read_result(*readings: CodeReading) -> ReadResult:
+    return ReadResult(ReadStatus.READ, "", readings or (READING,), {"windows": 4}, {"total": 50.0})
+
+
+def no_read_result() -> ReadResult:
+    seen = {"n_events": np.int64(1000), "windows": 12}
+    return ReadResult(ReadStatus.NO_READ, "no finder pattern was seen", (), seen, {"total": 20.0})
+
+
+def events(n: int = 4000, seed: int = 1) -> EventArray:
+    rng = np.random.default_rng(seed)
+    return EventArray(
+        np.sort(rng.integers(0, 20_000, n)).astype(np.int64),
+        rng.integers(0, 160, n).astype(np.uint16),
+        rng.integers(0, 120, n).astype(np.uint16),
+        rng.choice(np.array([-1, 1], np.int8), n),
+        160,
+        120,
+    )
+
+
+def recording(path: Path, seed: int = 1) -> Path:
+    save_recording(path, events(seed=seed))
+    return path

@@ -1,0 +1,134 @@
+"""`read_many`: order, errors that stop nothing, and every kind of executor."""
+
+from __future__ import annotations
+
+import multiprocessing
+import os
+import threading
+from concurrent.futures import ProcessPoolExecutor, ThreadPoolExecutor
+
+import pytest
+import sample_results
+
+from evqr.errors import RecordingError
+from evqr.many import read_many
+from evqr.types import ReadResult, ReadStatus
+
+
+@pytest.fixture
+def fake_reader(monkeypatch):
+    """A reader that says the name of its source, fails for "bad", and notes its options."""
+    calls = []
+
+    def read_codes(source, **options):
+        calls.append((source, options))
+        if source == "bad":
+            raise RecordingError("bad: the file is empty; record it again")
+        if source == "bug":
+            raise ZeroDivisionError("division\nby zero")
+        return ReadResult(ReadStatus.NO_READ, f"read {source}", (), {}, {}, source)
+
+    monkeypatch.setattr("evqr.reader.read_codes", read_codes)
+    return calls
+
+
+def outcomes(results):
+    return [(result.source, result.status, result.reason) for result in results]
+
+
+EXPECTED = [
+    ("a", ReadStatus.NO_READ, "read a"),
+    ("bad", ReadStatus.ERROR, "bad: the file is empty; record it again"),
+    ("b", ReadStatus.NO_READ, "read b"),
+    ("bug", ReadStatus.ERROR, "ZeroDivisionError: division by zero"),
+    ("c", ReadStatus.NO_READ, "read c"),
+]
+
+
+def test_serial_keeps_the_order_and_goes_on_after_errors(fake_reader):
+    assert outcomes(read_many(["a", "bad", "b", "bug", "c"])) == EXPECTED
+
+
+def test_serial_reads_only_what_is_asked_for(fake_reader):
+    results = read_many(iter(["a", "b", "c"]))
+    assert next(results).source == "a"
+    assert [source for source, _ in fake_reader] == ["a"]
+
+
+def test_options_reach_the_reader(fake_reader):
+    options = {
+        "config": object(),
+        "sensor": (64, 48),
+        "time_unit": "ms",
+        "backend": "numpy",
+        "device": "cpu",
+        "threads": 3,
+    }
+    list(read_many(["a"], **options))
+    assert fake_reader == [("a", options)]
+
+
+def test_threads(fake_reader):
+    with ThreadPoolExecutor(3) as executor:
+        assert outcomes(read_many(["a", "bad", "b", "bug", "c"], executor=executor)) == EXPECTED
+
+
+def test_results_come_in_order_of_sources_not_of_completion(monkeypatch):
+    second_is_done = threading.Event()
+
+    def read_codes(source, **options):
+        if source == "first":
+            assert second_is_done.wait(20)
+        else:
+            second_is_done.set()
+        return sample_results.no_read_result()
+
+    monkeypatch.setattr("evqr.reader.read_codes", read_codes)
+    with ThreadPoolExecutor(2) as executor:
+        assert len(list(read_many(["first", "second"], executor=executor))) == 2
+
+
+def test_leaving_early_cancels_what_has_not_begun(monkeypatch):
+    begun, release = [], threading.Event()
+
+    def read_codes(source, **options):
+        begun.append(source)
+        if source != "first":
+            assert release.wait(20)
+        return sample_results.no_read_result()
+
+    monkeypatch.setattr("evqr.reader.read_codes", read_codes)
+    with ThreadPoolExecutor(1) as executor:
+        results = read_many(["first", *map(str, range(20))], executor=executor)
+        next(results)
+        results.close()
+        release.set()
+    assert len(begun) <= 2  # the one that was asked for, and perhaps the next
+
+
+class EndsItsWorker:
+    """A source that takes its worker down on arrival."""
+
+    def __reduce__(self):
+        return os._exit, (3,)
+
+
+def test_a_lost_worker_is_an_error_of_the_source(tmp_path):
+    """Real processes: errors travel back, and a worker that dies raises nothing here."""
+    missing = [str(tmp_path / "one.h5"), str(tmp_path / "two.h5")]
+    with ProcessPoolExecutor(1, mp_context=multiprocessing.get_context("spawn")) as executor:
+        first, second = read_many(missing, executor=executor)
+        assert (first.source, second.source) == (missing[0], missing[1])
+        assert first.status is second.status is ReadStatus.ERROR
+        assert missing[0] in first.reason and "Traceback" not in first.reason
+        (lost,) = read_many([EndsItsWorker()], executor=executor)
+    assert lost.status is ReadStatus.ERROR
+    assert "BrokenProcessPool" in lost.reason
+
+
+def test_dask(fake_reader):
+    distributed = pytest.importorskip("distributed", reason="extra 'distributed' is not installed")
+    local = {"n_workers": 1, "threads_per_worker": 2, "processes": False, "dashboard_address": None}
+    with distributed.LocalCluster(**local) as cluster, distributed.Client(cluster) as client:
+        executor = client.get_executor()
+        assert outcomes(read_many(["a", "bad", "b", "bug", "c"], executor=executor)) == EXPECTED

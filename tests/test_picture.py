@@ -1,0 +1,173 @@
+"""The picture of a reading: what each panel shows."""
+
+from __future__ import annotations
+
+import sys
+import warnings
+
+import numpy as np
+import pytest
+import sample_results
+
+from evqr.errors import MissingExtra, UsageError
+from evqr.types import EventArray
+
+pytest.importorskip("matplotlib", reason="extra 'plot' is not installed")
+
+from evqr import picture
+
+
+def moving_dots(reading):
+    """Events of two dots that travel with the code: at ``t_read_us`` ON at (60, 60), OFF at (100, 90)."""
+    t = np.arange(reading.t_first_us, reading.t_read_us, 10, dtype=np.int64)
+    age_s = (t - reading.t_read_us) * 1e-6
+    vx, vy = reading.motion_px_per_s
+    t, age_s = np.repeat(t, 2), np.repeat(age_s, 2)
+    second = np.arange(len(t)) % 2 == 1
+    return EventArray(
+        t,
+        np.round(np.where(second, 100, 60) + vx * age_s).astype(np.uint16),
+        np.round(np.where(second, 90, 60) + vy * age_s).astype(np.uint16),
+        np.where(second, -1, 1).astype(np.int8),
+        160,
+        120,
+    )
+
+
+def panels(figure):
+    return {axes.get_title(loc="left"): axes for axes in figure.axes}
+
+
+def panel(figure, start):
+    (axes,) = (axes for title, axes in panels(figure).items() if title.startswith(start))
+    return axes
+
+
+def test_wrong_modules_are_coloured():
+    estimate = sample_results.READING.estimate.copy()
+    (false_light, *_), (false_dark, second_false_dark, *_) = (
+        list(zip(*np.nonzero(sample_results.MODULES == sign), strict=True)) for sign in (-1, 1)
+    )
+    estimate[false_light] *= -1
+    estimate[false_dark] *= -1
+    estimate[second_false_dark] *= -1
+    figure = picture.draw_reading(sample_results.events(), sample_results.reading(estimate=estimate))
+    axes = panel(figure, "their signs")
+    assert axes.get_title(loc="left") == "their signs: 3 of 441 wrong"
+    (image,) = axes.images
+    colours = image.cmap(image.norm(image.get_array()))
+    magenta, green = np.array([0.9, 0.0, 0.62]), np.array([0.18, 0.7, 0.27])
+    np.testing.assert_allclose(colours[false_dark][:3], magenta, atol=0.01)
+    np.testing.assert_allclose(colours[second_false_dark][:3], magenta, atol=0.01)
+    np.testing.assert_allclose(colours[false_light][:3], green, atol=0.01)
+    others = np.ones_like(estimate, bool)
+    others[false_light] = others[false_dark] = others[second_false_dark] = False
+    brightness = colours[..., :3].mean(axis=-1)
+    np.testing.assert_array_equal(brightness[others] > 0.5, sample_results.MODULES[others] > 0)
+
+
+def test_truth_takes_the_place_of_what_was_decoded():
+    truth = -sample_results.MODULES
+    figure = picture.draw_reading(sample_results.events(), sample_results.READING, truth=truth)
+    assert panel(figure, "their signs").get_title(loc="left") == "their signs: 441 of 441 wrong"
+    (image,) = panel(figure, "modules, true").images
+    np.testing.assert_array_equal(np.asarray(image.get_array()) == 0, truth < 0)
+    assert "modules, as decoded" not in panels(figure)
+
+
+def test_truth_of_another_size_is_refused():
+    with pytest.raises(ValueError, match=r"truth must have shape \(21, 21\), got \(25, 25\)"):
+        picture.draw_reading(
+            sample_results.events(), sample_results.READING, truth=np.ones((25, 25), np.int8)
+        )
+
+
+def test_motion_is_taken_out():
+    reading = sample_results.READING
+    figure = picture.draw_reading(moving_dots(reading), reading)
+    (image,) = panel(figure, "motion taken out").images
+    values, (x0, x1, y1, y0) = np.asarray(image.get_array()), image.get_extent()
+
+    def where(index):
+        row, column = np.unravel_index(index, values.shape)
+        return x0 + (column + 0.5) * (x1 - x0) / values.shape[1], y0 + (row + 0.5) * (y1 - y0) / values.shape[
+            0
+        ]
+
+    np.testing.assert_allclose(where(values.argmax()), (60, 60), atol=0.8)
+    np.testing.assert_allclose(where(values.argmin()), (100, 90), atol=0.8)
+    spread = (np.abs(values) > 0.05 * np.abs(values).max()).sum()
+    assert spread < 120  # two dots, not two streaks: in 3.1 ms the code moves 12 px
+
+
+def test_outline_is_where_it_was_found():
+    figure = picture.draw_reading(sample_results.events(), sample_results.READING)
+    for title in ("events of", "motion taken out"):
+        (outline,) = panel(figure, title).patches
+        np.testing.assert_array_equal(outline.get_xy()[:4], sample_results.READING.corners_px)
+
+
+def test_events_panel_shows_the_last_event_of_each_pixel():
+    t_read = sample_results.READING.t_read_us
+    events = EventArray(
+        np.array([t_read - 20, t_read - 10, t_read, t_read + 5]),
+        np.array([7, 7, 9, 9], np.uint16),
+        np.array([5, 5, 5, 5], np.uint16),
+        np.array([1, -1, 1, 1], np.int8),
+        160,
+        120,
+    )
+    (image,) = panel(picture.draw_reading(events, sample_results.READING), "events of").images
+    values = np.asarray(image.get_array())
+    assert values[5, 7] == -1
+    assert np.count_nonzero(values) == 1  # what came at or after t_read_us is not shown
+
+
+@pytest.mark.parametrize("ending", ["png", "svg", "pdf"])
+def test_files(tmp_path, ending):
+    path = tmp_path / f"reading.{ending}"
+    picture.save_picture(path, sample_results.events(), sample_results.READING)
+    assert path.stat().st_size > 10_000
+
+
+@pytest.mark.parametrize(
+    "text", ["$x^2$ \\alpha {", "\N{CJK UNIFIED IDEOGRAPH-6F22}\u5b57", "", "long " * 500, "\x1b[2J"]
+)
+def test_any_text_can_be_drawn(tmp_path, text):
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        path = tmp_path / "reading.png"
+        picture.save_picture(path, sample_results.events(), sample_results.reading(text=text))
+
+
+def test_degenerate_readings_can_be_drawn():
+    nothing = sample_results.events(1).cut(0, 0)
+    still = sample_results.reading(motion_px_per_s=np.zeros(2), estimate=np.zeros((21, 21), np.float32))
+    assert len(picture.draw_reading(nothing, still).axes) == 5
+
+
+def test_bad_places_are_one_line(tmp_path):
+    events, reading = sample_results.events(), sample_results.READING
+    with pytest.raises(UsageError, match=r"reading.doc: unknown picture format 'doc'"):
+        picture.save_picture(tmp_path / "reading.doc", events, reading)
+    with pytest.raises(UsageError, match=r"reading.png: cannot write the picture: No such file"):
+        picture.save_picture(tmp_path / "nowhere" / "reading.png", events, reading)
+
+
+def test_missing_matplotlib_names_the_extra(monkeypatch):
+    monkeypatch.setitem(sys.modules, "matplotlib.figure", None)
+    with pytest.raises(MissingExtra, match=r"pip install 'evqr\[plot\]'"):
+        picture.draw_reading(sample_results.events(), sample_results.READING)
+
+
+def test_events_of_the_picture_come_from_any_chunks(tmp_path):
+    from evqr.recording import open_recording
+
+    path = sample_results.recording(tmp_path / "events.h5")
+    start, end = picture.span_us(sample_results.READING)
+    wanted = sample_results.events().between(start, end)
+    for chunk_events in (100, 1 << 20):
+        with open_recording(path, chunk_events=chunk_events) as recording:
+            got = picture.picture_events(recording, sample_results.READING)
+        for name in "txyp":
+            np.testing.assert_array_equal(getattr(got, name), getattr(wanted, name))
