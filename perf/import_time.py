@@ -3,7 +3,7 @@
 
 usage: import_time.py [--rounds 15] [--limit 0.2]
 
-Each import is timed in a fresh interpreter, in turns with numpy so that a busy machine slows all of them alike;
+Each import is timed in a fresh interpreter, in turns with numpy so that a busy machine slows both alike;
 the cost is the median of the paired differences.  Exit 1 when a cost passes the limit (seconds).
 """
 
