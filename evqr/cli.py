@@ -135,7 +135,9 @@ def _recording_options(command: Callable[..., Any]) -> Callable[..., Any]:
             type=click.Choice(["us", "ms", "s", "ns"]),
             help="Unit of the stored time stamps, where the recording does not tell.",
         ),
-        click.option("--sensor", type=SizeType(), help="Sensor size, where the recording does not tell."),
+        click.option(
+            "--sensor", type=SizeType(), metavar="WxH", help="Sensor size, where the recording does not tell."
+        ),
     ):
         command = option(command)
     return command
@@ -190,7 +192,12 @@ def _backend_options(command: Callable[..., Any]) -> Callable[..., Any]:
     type=click.Choice(["mode", "soft", "information"]),
     help="How windows are combined; default: the best measured.",
 )
-@click.option("--lag-us", type=LagType(), help="Lags of the pixels, in microseconds; default: estimated.")
+@click.option(
+    "--lag-us",
+    type=LagType(),
+    metavar="ON,OFF",
+    help="Lags of the pixels, in microseconds; default: estimated.",
+)
 @_backend_options
 @click.option("--jobs", type=click.IntRange(min=1), default=1, metavar="N", help="Recordings read at a time.")
 @click.option("--picture", type=click.Path(path_type=Path), metavar="FILE", help="Draw the first reading.")
@@ -409,7 +416,9 @@ def info(recording: Path, as_json: bool, sensor: tuple[int, int] | None, time_un
 @click.option("--tilt", type=float, default=0.0, show_default=True, help="Of the object's plane [deg].")
 @click.option("--invert", is_flag=True, help="Print light on dark.")
 @click.option("--no-code", is_flag=True, help="Print things that look a little like a code, but no code.")
-@click.option("--sensor", type=SizeType(), default="640x480", show_default=True, help="Sensor size.")
+@click.option(
+    "--sensor", type=SizeType(), metavar="WxH", default="640x480", show_default=True, help="Sensor size."
+)
 @click.option("--duration-us", type=click.IntRange(min=1), metavar="N", help="Default: long enough to read.")
 @click.option("--seed", type=click.IntRange(min=0), default=0, show_default=True)
 def simulate(
@@ -430,7 +439,10 @@ def simulate(
     duration_us: int | None,
     seed: int,
 ) -> int:
-    """Simulate a printed code that passes an event camera, and write its events with the truth."""
+    """Write a recording of a simulated code.
+
+    A printed code, on a textured object, passes an event camera; the recording holds the events and the truth.
+    """
     from evqr.recording import save_recording
     from evqr.simulate import simulate as run_simulation
 
@@ -470,7 +482,11 @@ def simulate(
 )
 @_backend_options
 def demo(picture: Path, backend: str, device: str, threads: int | None) -> int:
-    """Read the recording that comes with evqr, and draw how it was read."""
+    """Read the recording that comes with evqr.
+
+    Prints what was read and draws how: events, events with the motion taken out and the outline found, estimated
+    modules beside the true ones.
+    """
     from evqr.demo import demo_recording, demo_truth
     from evqr.picture import picture_events, save_picture
     from evqr.reader import read_codes
