@@ -62,9 +62,10 @@ class SceneConfig:
     width, height  of the sensor [px]
     direction      of travel in the image, from +x towards +y [deg]
     speed_px_ms    speed at the centre of the view [px/ms], above 0
-    start          (x, y) of the object's centre at t = 0 [px]; None: half of the travel puts it at the view's centre
-    duration_us    length of the recording [us]; None: 40 px of travel, or the whole passage of several codes that
-                   the view does not hold together
+    start          (x, y) of the object's centre at t = 0 [px]; None: half of the travel puts it at the centre
+                   of the view
+    duration_us    length of the recording [us]; None: 40 px of travel, or the whole passage of several codes
+                   that the view does not hold together
     tilt           of the object's plane against the image plane [deg], below 60
     tilt_axis      the axis it is tilted about, an angle in the image [deg]
     focal_px       focal length, which says how strong the perspective of a tilt is [px]
@@ -171,11 +172,12 @@ class SensorConfig:
 #: ``clean``  an ideal sensor: equal thresholds of 0.2, no lag, no noise, unlimited readout
 #: ``slow``   a good sensor in good light, for slow scenes
 #: ``fast``   a bright scene at speed: pixels lag, events are noisy and some are lost
-#: ``hard``   as fast, in less light: strong lag, heavy noise, nearly half of the events lost, a saturated readout
+#: ``hard``   as fast, in less light: strong lag, heavy noise, half of the events lost, a saturated readout
 #:
-#: Thresholds of 0.2 with a spread of 0.03, a bandwidth that follows the light, leak of 0.1 Hz and background activity
-#: of some Hz are the usual values of v2e (Hu, Liu, Delbruck, "v2e: From Video Frames to Realistic DVS Events", CVPR
-#: workshops 2021); 300 million events a second is the readout of the paper's sensor (Son et al., ISSCC 2017).
+#: Thresholds of 0.2 with a spread of 0.03 and a bandwidth that follows the light are v2e's (Hu, Liu,
+#: Delbruck, "v2e: From Video Frames to Realistic DVS Events", CVPR workshops 2021); 300 million events a
+#: second is the readout of the paper's sensor (Son et al., "A 640x480 dynamic vision sensor with a 9 um
+#: pixel and 300 Meps address-event representation", ISSCC 2017).
 PRESETS: Mapping[str, SensorConfig] = MappingProxyType(
     {
         "clean": SensorConfig(),

@@ -12,6 +12,7 @@ The object moves in its plane on a straight line, so that each pixel's path over
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -32,7 +33,7 @@ def similarity(angle_deg: float, scale: float, shift: NDArray[np.float64]) -> Ma
     return np.array([[c, -s, shift[0]], [s, c, shift[1]], [0.0, 0.0, 1.0]])
 
 
-def transform(homography: Matrix, points: NDArray[np.float64]) -> NDArray[np.float64]:
+def transform(homography: NDArray[np.floating[Any]], points: NDArray[np.float64]) -> NDArray[np.float64]:
     """Map points (..., 2) by homographies (..., 3, 3), broadcast against each other."""
     homogeneous = np.concatenate([points, np.ones_like(points[..., :1])], axis=-1)
     mapped = (homography @ homogeneous[..., None])[..., 0]
@@ -96,13 +97,17 @@ class Motion:
 
 
 def plan_motion(scene: SceneConfig, symbols: list[Symbol]) -> Motion:
-    """Fill in the start and duration that a scene leaves open; raise UsageError for a code larger than the view."""
+    """Fill in the start and duration left open; raise UsageError for a code larger than the view."""
     view = plane_to_image(scene)
-    horizon = view[2] @ np.array([[x, y, 1.0] for x in (-1e3, 1e3) for y in (-1e3, 1e3)]).T
-    if horizon.min() <= 0.05:
+    image_to_plane = np.linalg.inv(view)
+    edges = np.array([[x, y, 1.0] for x in (0, scene.width - 1) for y in (0, scene.height - 1)])
+    # Proportional to the inverse of the depth at which a pixel's ray meets the plane.
+    if (edges @ image_to_plane[2]).min() <= 0.05:
         raise UsageError(f"simulate: a tilt of {scene.tilt:g} degrees shows the horizon; take a smaller tilt")
-    to_plane = similarity(scene.direction, 1.0, np.zeros(2))
-    corners = [transform(to_plane @ code_to_object(s, scene.direction), code_corners(s)) for s in symbols]
+    object_to_plane = similarity(scene.direction, 1.0, np.zeros(2))
+    corners = [
+        transform(object_to_plane @ code_to_object(s, scene.direction), code_corners(s)) for s in symbols
+    ]
     sensor = np.array([scene.width, scene.height])
     for symbol, own in zip(symbols, corners, strict=True):
         extent = np.ptp(transform(view, own - own.mean(axis=0)), axis=0)
@@ -115,7 +120,7 @@ def plan_motion(scene: SceneConfig, symbols: list[Symbol]) -> Motion:
             )
 
     travel = DEFAULT_TRAVEL_PX
-    heading = to_plane[:2, 0]
+    heading = object_to_plane[:2, 0]
     if corners and scene.start is None and scene.duration_us is None:
         group = np.concatenate(corners)
         if (np.ptp(transform(view, group), axis=0) > sensor).any():
@@ -125,7 +130,7 @@ def plan_motion(scene: SceneConfig, symbols: list[Symbol]) -> Motion:
     if scene.start is None:
         start = -0.5 * speed * duration * heading
     else:
-        start = transform(np.linalg.inv(view), np.asarray(scene.start, np.float64))
+        start = transform(image_to_plane, np.asarray(scene.start, np.float64))
     return Motion(
         plane_to_image=view, direction=scene.direction, start=start, speed=speed, duration_us=duration
     )

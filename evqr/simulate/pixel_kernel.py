@@ -1,9 +1,9 @@
 """The pixels of an event camera, one thread a pixel, on the Warp CPU device.
 
-A moving object is a texture whose rows lie along the direction of travel, so each pixel walks backwards along one
-texture row at constant speed.  The knots of its signal are the moments at which it crosses a texture column: the
-logarithm X of the light is known there, and linear in between.  In one segment of such a ramp the photoreceptor, a
-low-pass of bandwidth r [rad/us],
+A moving object is a texture whose rows lie along the direction of travel, so each pixel walks backwards along
+one texture row at constant speed.  The knots of its signal are the moments at which it crosses a texture
+column: the logarithm X of the light is known there, and linear in between.  In one segment of such a ramp the
+photoreceptor, a low-pass of bandwidth r [rad/us],
 
     dY/dt = r (X - Y),
 
@@ -11,8 +11,9 @@ and a reference that leaks put the pixel, s microseconds after the segment's sta
 
     level(s) = level + slope s - lag (1 - exp(-r s)),    slope = dX/dt + leak,    lag = Y - X + (dX/dt) / r
 
-Events are the crossings of level(s) through +on or -off, found by bracketed Newton steps on this closed form: there
-are no frames.  After an event the pixel is held in reset for the refractory time and starts again from level 0.
+Events are the crossings of level(s) through +on or -off, found by bracketed Newton steps on this closed form:
+there are no frames.  After an event the pixel is held in reset for the refractory time and starts again from
+level 0.
 """
 
 # A kernel is written in Warp's own language: pyright takes its types, indices and operators for Python's.
@@ -78,8 +79,8 @@ def walk_pixels(
     pixel : (height, width, 3) threshold on, threshold off (log units), level at the start
     image_to_texture : homography to (texture column, texture row) at the start
     clock_us : start, end, microseconds a texture column
-    response : bandwidth in the dark, bandwidth per unit of light [rad/us] (both 0: no low-pass), refractory time
-        [us], leak rate [1/us]
+    response : bandwidth in the dark, bandwidth per unit of light [rad/us] (both 0: no low-pass), refractory
+        time [us], leak rate [1/us]
     n_events_out : (1,) ACCUMULATED; beyond the capacity of the arrays below: launch again with larger ones
     t_out, address_out : (capacity,) time [us] and 2 (row width + column) + (1 if brighter), grouped by pixel
     """

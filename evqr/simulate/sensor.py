@@ -38,33 +38,32 @@ class RawEvents:
     address: NDArray[np.int64]
 
 
+def draw_pixels(scene: SceneConfig, sensor: SensorConfig, rng: np.random.Generator) -> NDArray[np.float32]:
+    """(height, width, 3) thresholds ON and OFF of each pixel, and its level at the start [log units]."""
+    shape = (scene.height, scene.width)
+    mean = np.array([sensor.threshold, sensor.threshold * sensor.off_to_on], np.float32)
+    spread = np.float32(sensor.threshold_spread) * rng.standard_normal((*shape, 2), np.float32)
+    thresholds = np.maximum(mean + spread, np.float32(LEAST_THRESHOLD))
+    # A pixel that has been still lies anywhere between its thresholds, short of both.
+    level = thresholds.sum(axis=-1) * (0.005 + 0.99 * rng.random(shape, np.float32)) - thresholds[..., 1]
+    return np.concatenate([thresholds, level[..., None]], axis=-1).astype(np.float32)
+
+
 def run_pixels(
     scene: SceneConfig,
     sensor: SensorConfig,
     motion: Motion,
     texture: Texture,
     background: NDArray[np.float32],
-    rng: np.random.Generator,
+    pixel: NDArray[np.float32],
     threads: int | None = None,
 ) -> RawEvents:
-    """Events of noiseless pixels with their own thresholds, from the run-in to the end."""
+    """Events of the pixels of `draw_pixels`, without noise, from the run-in to the end."""
     import warp as wp
 
     from evqr.simulate import pixel_kernel
 
     wp.load_module(pixel_kernel, device="cpu")
-    shape = (scene.height, scene.width)
-    noise = rng.standard_normal((*shape, 2), np.float32) * np.float32(sensor.threshold_spread)
-    pixel = np.empty((*shape, 3), np.float32)
-    pixel[..., :2] = np.maximum(
-        noise + np.float32(sensor.threshold) * np.array([1.0, sensor.off_to_on], np.float32), LEAST_THRESHOLD
-    )
-    # A still pixel's level lies anywhere between its thresholds.
-    pixel[..., 2] = (
-        rng.random(shape, np.float32) * pixel[..., :2].sum(axis=-1) * np.float32(0.98)
-        - np.float32(0.99) * pixel[..., 1]
-    )
-
     start_us = -RUN_IN_PX / motion.speed
     to_texture = np.diag([*TEXELS, 1.0])
     to_texture[:2, 2] = texture.origin
@@ -167,8 +166,8 @@ def _queue(
     stamp: NDArray[np.int64], address: NDArray[np.int64], sensor: SensorConfig, rng: np.random.Generator
 ) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
     """Let events leave one by one at the readout's rate; those that would wait too long are lost."""
-    # In each stretch of the queue's length the readout carries so many events; which of the others are lost is
-    # random, for a pixel that waits misses its own next event, wherever it lies.
+    # In each stretch of the queue's length the readout carries so many events; which of the others are lost
+    # is random, for a pixel that waits misses its own next event, wherever it lies.
     stretch = np.floor_divide(stamp, sensor.readout_queue_us).astype(np.int64)
     _, first, count = np.unique(stretch, return_index=True, return_counts=True)
     capacity = max(1, int(sensor.readout_meps * sensor.readout_queue_us))

@@ -10,8 +10,8 @@ from evqr.types import EventArray
 def shuffled(events: EventArray, seed: int = 0) -> EventArray:
     """Move every pixel's events to another pixel, by a random permutation of the sensor.
 
-    Each pixel keeps its own series of times and polarities, so rates, noise and hot pixels stay as they are; edges
-    and their motion are gone.
+    Each pixel keeps its own series of times and polarities, so rates, noise and hot pixels stay as they are;
+    edges and their motion are gone.
     """
     target = np.random.default_rng(seed).permutation(events.width * events.height)
     where = target[events.y.astype(np.int64) * events.width + events.x]

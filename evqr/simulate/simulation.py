@@ -17,7 +17,7 @@ from evqr.simulate.config import (
     sensor_of,
 )
 from evqr.simulate.geometry import plan_motion
-from evqr.simulate.sensor import add_noise, read_out, run_pixels
+from evqr.simulate.sensor import add_noise, draw_pixels, read_out, run_pixels
 from evqr.simulate.symbol import make_symbol
 from evqr.simulate.texture import draw_background, draw_object
 from evqr.simulate.truth import truth_of
@@ -31,7 +31,7 @@ class Simulation:
     Attributes
     ----------
     events : EventArray    t from 0 to below the duration
-    truth                  "truth", "truth2", ..., one a code, to the fields of `truth_of`; empty without codes
+    truth                  "truth", "truth2", ..., one a code, to its fields (`truth_of`); empty without codes
     scene, sensor          what was simulated
     """
 
@@ -85,7 +85,8 @@ def simulate(
     Raises
     ------
     UsageError
-        for values out of range, a text that its version cannot hold, a code larger than the view, overlapping codes
+        for values out of range, a text that its version cannot hold, a code larger than the view, codes that
+        overlap
     """
     sensor = sensor_of(preset)
     if speed_px_ms is None:
@@ -117,7 +118,8 @@ def simulate_scene(scene: SceneConfig, sensor: SensorConfig, *, threads: int | N
     scene_rng, sensor_rng = (np.random.default_rng(s) for s in np.random.SeedSequence(scene.seed).spawn(2))
     texture = draw_object(scene, symbols, scene_rng)
     background = draw_background(scene, scene_rng)
-    raw = run_pixels(scene, sensor, motion, texture, background, sensor_rng, threads)
+    pixel = draw_pixels(scene, sensor, sensor_rng)
+    raw = run_pixels(scene, sensor, motion, texture, background, pixel, threads)
     noisy = add_noise(raw, scene, sensor, motion, sensor_rng)
     events = read_out(noisy, scene, sensor, motion, sensor_rng)
     return Simulation(events=events, truth=truth_of(scene, motion, symbols), scene=scene, sensor=sensor)

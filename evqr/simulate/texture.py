@@ -1,7 +1,7 @@
 """What there is to see: the object with its prints as a texture, and the background.
 
-The texture's rows lie along the direction of travel, because each pixel walks along one row; it is finer along the
-rows, whose texels are the knots of the pixels' signals, than across them.
+The texture's rows lie along the direction of travel, because each pixel walks along one row; it is finer
+along the rows, whose texels are the knots of the pixels' signals, than across them.
 """
 
 from __future__ import annotations
@@ -17,8 +17,8 @@ from evqr.simulate.config import SceneConfig
 from evqr.simulate.geometry import code_corners, code_to_object, transform
 from evqr.simulate.symbol import QUIET_MODULES, Symbol
 
-#: Texels a px along the travel and across it.  With the default blur of 0.6 px, 6 knots a px put a crossing within
-#: 0.011 px (rms 0.004 px) of where the continuous signal has it.
+#: Texels a px along the travel and across it.  With the default blur of 0.6 px, 6 knots a px put a crossing
+#: within 0.011 px (rms 0.004 px) of where the continuous signal has it.
 TEXELS = np.array([6.0, 2.0])
 #: The object reaches this far beyond its prints, along the travel and across it [px].
 MARGIN_PX = np.array([45.0, 25.0])
@@ -74,8 +74,8 @@ def _print_code(
 ) -> None:
     """Print a code and its quiet zone into ``light``; ``printed`` says where codes are, to refuse overlaps.
 
-    A texel is the mean of the modules under it: bilinear interpolation between modules, steepened to the texel's
-    width, is exactly the convolution of the modules' squares with a box of that width.
+    A texel is the mean of the modules under it: bilinear interpolation between modules, steepened to the
+    texel's width, is exactly the convolution of the modules' squares with a box of that width.
     """
     to_object = code_to_object(symbol, scene.direction)
     corners = transform(to_object, code_corners(symbol, QUIET_MODULES)) * TEXELS + origin
@@ -155,7 +155,7 @@ def _draw_body(canvas: _Canvas, half: NDArray[np.float64], rng: np.random.Genera
 def _draw_decoys(
     canvas: _Canvas, half: NDArray[np.float64], scene: SceneConfig, rng: np.random.Generator
 ) -> None:
-    """Things that look like a code: barcode, text, checkerboard, boxes, finder patterns around random modules."""
+    """Look-alikes of a code: barcode, text, checkerboard, boxes, finder patterns around random modules."""
     white, black = scene.white, scene.black
     place = [(x * half[0], y * half[1]) for x in (-0.72, -0.22, 0.28) for y in (-0.75, 0.1)]
     rng.shuffle(place)

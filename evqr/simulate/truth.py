@@ -17,9 +17,9 @@ POSE_PERIOD_US = 250
 def truth_of(scene: SceneConfig, motion: Motion, symbols: list[Symbol]) -> dict[str, dict[str, Any]]:
     """Return what is true of each code: group name ("truth", "truth2", ...) to its fields.
 
-    Fields: payload, version, ec_level, mask; modules (n, n) uint8, 1 = dark; t_us (K,) int64; H (K, 3, 3), which maps
-    (column, row, 1) in modules from the outer corner of the top-left module to px; velocity (K, 2) of the code's
-    centre [px/s]; in_view (K,) bool, all of the code (without its quiet zone) on the sensor.
+    Fields: payload, version, ec_level, mask; modules (n, n) uint8, 1 = dark; t_us (K,) int64; H (K, 3, 3),
+    which maps (column, row, 1) in modules from the outer corner of the top-left module to px; velocity (K, 2)
+    of the code's centre [px/s]; in_view (K,) bool, all of the code (without its quiet zone) on the sensor.
     """
     t_us = np.unique(np.append(np.arange(0, motion.duration_us, POSE_PERIOD_US), motion.duration_us)).astype(
         np.int64
