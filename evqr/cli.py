@@ -400,7 +400,9 @@ def info(recording: Path, as_json: bool, sensor: tuple[int, int] | None, time_un
 @click.option(
     "--version", type=click.IntRange(1, 40), metavar="1-40", help="Default: the smallest that fits."
 )
-@click.option("--ec", type=click.Choice(["L", "M", "Q", "H"]), default="M", show_default=True)
+@click.option(
+    "--ec", type=click.Choice(["L", "M", "Q", "H"]), default="M", show_default=True, help="Error correction."
+)
 @click.option("--mask", type=click.IntRange(0, 7), metavar="0-7", help="Default: as the standard chooses.")
 @click.option("--angle", type=float, default=30.0, show_default=True, help="Of the code in the image [deg].")
 @click.option("--direction", type=float, default=0.0, show_default=True, help="Of travel in the image [deg].")
@@ -420,7 +422,14 @@ def info(recording: Path, as_json: bool, sensor: tuple[int, int] | None, time_un
     "--sensor", type=SizeType(), metavar="WxH", default="640x480", show_default=True, help="Sensor size."
 )
 @click.option("--duration-us", type=click.IntRange(min=1), metavar="N", help="Default: long enough to read.")
-@click.option("--seed", type=click.IntRange(min=0), default=0, show_default=True)
+@click.option(
+    "--seed",
+    type=click.IntRange(min=0),
+    metavar="N",
+    default=0,
+    show_default=True,
+    help="Of textures and noise.",
+)
 def simulate(
     output: Path,
     text: str,
@@ -441,7 +450,7 @@ def simulate(
 ) -> int:
     """Write a recording of a simulated code.
 
-    A printed code, on a textured object, passes an event camera; the recording holds the events and the truth.
+    A printed code on a textured object passes an event camera.  The recording holds the events and the truth.
     """
     from evqr.recording import save_recording
     from evqr.simulate import simulate as run_simulation
@@ -484,8 +493,8 @@ def simulate(
 def demo(picture: Path, backend: str, device: str, threads: int | None) -> int:
     """Read the recording that comes with evqr.
 
-    Prints what was read and draws how: events, events with the motion taken out and the outline found, estimated
-    modules beside the true ones.
+    Prints what was read and draws how: events, events with the motion taken out and the outline found,
+    estimated modules beside the true ones.
     """
     from evqr.demo import demo_recording, demo_truth
     from evqr.picture import picture_events, save_picture
