@@ -239,13 +239,13 @@ def read(
     from evqr.recording import open_recording
 
     with open_recording(recordings[0], **told) as recording:
-        try:
-            if each_window:
-                return _read_each_window(recording, as_json, threads=threads, **compute)
-            return _read_one(recording, as_json, picture, threads=threads, **compute)
-        finally:
-            for warning in recording.warnings:
-                _note(f"{recording.path}: {warning}")
+        if each_window:
+            status = _read_each_window(recording, as_json, threads=threads, **compute)
+        else:
+            status = _read_one(recording, as_json, picture, threads=threads, **compute)
+        for warning in recording.warnings:
+            _note(f"{recording.path}: {warning}")
+        return status
 
 
 def _read_config(**given: Any) -> ReadConfig:
