@@ -19,8 +19,10 @@ class WarpBackend:
     name = "warp"
 
     def __init__(self) -> None:
-        wp.config.quiet = True
+        level = wp.config.log_level
+        wp.config.log_level = wp.LOG_ERROR  # a machine without a GPU is no reason for a warning
         wp.init()
+        wp.config.log_level = max(level, wp.LOG_WARNING)
 
     def devices(self) -> tuple[str, ...]:
         """Names of the devices that this machine has."""
@@ -92,6 +94,16 @@ class WarpBackend:
             wp.launch(apply, dim, inputs=[stencil, damping, free, residual, da, tolerance**2, ra], outputs=[db, product], device=dev)
             wp.launch(update, dim, inputs=[residual, db, product, tolerance**2, ra], outputs=[rb, q, iterations_out], device=dev)
             da, db, ra, rb = db, da, rb, ra
+
+
+    def needs_compile(self, device: str = "cpu") -> bool:
+        return False
+
+    def load(self, device: str = "cpu") -> None:
+        pass
+
+    def supports(self, op, dtype, device):
+        return None
 
 
 def load() -> WarpBackend:

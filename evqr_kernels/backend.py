@@ -1,0 +1,267 @@
+"""Which code runs the kernels: the interface of a backend, and the registry that loads one when it is asked for.
+
+A backend is unchecked and writes into buffers that the caller owns: the hot path.  ``evqr_kernels.ops`` is the other
+door, which checks and may allocate.
+"""
+
+from __future__ import annotations
+
+import importlib
+import logging
+import threading
+from typing import Any, Protocol
+
+from numpy.typing import DTypeLike, NDArray
+
+from evqr_kernels.config import SplatConfig
+
+AUTO = "warp"
+"""What "auto" stands for: compiled kernels on every CPU, and on NVIDIA GPUs.  There is no silent second choice."""
+
+Array = Any
+"""An array of the backend's own kind: NumPy's, Warp's, ..."""
+
+_log = logging.getLogger(__name__)
+
+
+class KernelBackend(Protocol):
+    """What every backend offers.  Shapes and units are those of the functions of the same name in `evqr_kernels.ops`.
+
+    Outputs come last and end in ``_out`` (overwritten, unless the method says that it accumulates) or ``_inout``; those
+    called rows, chunks or scratch hold partial sums, so that no result depends on the order of threads.
+    """
+
+    name: str
+
+    def devices(self) -> tuple[str, ...]:
+        """Names of the devices that this machine has; "cpu" first."""
+        ...
+
+    def empty(self, shape: tuple[int, ...], dtype: DTypeLike, device: str) -> Array:
+        """Make an array with undefined contents."""
+        ...
+
+    def from_host(self, array: NDArray[Any], device: str) -> Array:
+        """Bring a NumPy array to the device; on the CPU it is the same memory."""
+        ...
+
+    def to_host(self, array: Array) -> NDArray[Any]:
+        """Bring an array back; on the CPU it is the same memory.  Waits for the device."""
+        ...
+
+    def synchronize(self, device: str) -> None:
+        """Wait for everything launched on the device."""
+        ...
+
+    def supports(self, op: str, dtype: DTypeLike, device: str) -> str | None:
+        """None when the operation can run, otherwise the reason why not."""
+        ...
+
+    def needs_compile(self, device: str = "cpu") -> bool:
+        """Whether the solver's kernels are not yet in this machine's cache, so that `load` takes seconds."""
+        ...
+
+    def load(self, device: str = "cpu") -> None:
+        """Compile or load the solver's kernels (float32); call it before threads start."""
+        ...
+
+    def bin_events(
+        self, x: Array, y: Array, weight: Array, window_ptr: Array, reduction: float, image_out: Array
+    ) -> None:
+        """Count events into pixels of ``reduction`` px; accumulates."""
+        ...
+
+    def splat_events(
+        self, x: Array, y: Array, t: Array, weight: Array, window_ptr: Array, motion: Array, lag: Array,
+        frame: Array, image_out: Array, cfg: SplatConfig,
+    ) -> None:  # fmt: skip
+        """Scatter transported events as splats; accumulates."""
+        ...
+
+    def splat_events_adjoint(
+        self, x: Array, y: Array, t: Array, weight: Array, window_ptr: Array, motion: Array, lag: Array,
+        frame: Array, adj_image: Array, chunks_out: Array, adj_weight_out: Array, adj_motion_out: Array,
+        cfg: SplatConfig,
+    ) -> None:  # fmt: skip
+        """Adjoint of `splat_events` in weight and motion; ``chunks_out`` is (B, any number of chunks, 2)."""
+        ...
+
+    def motion_correlation(
+        self, first: Array, second: Array, radius: int, rows_out: Array, correlation_out: Array
+    ) -> None:
+        """Correlate two images over a square of shifts; ``rows_out`` is (B, Y, 2 R + 1, 2 R + 1)."""
+        ...
+
+    def reduce_image(self, image: Array, ratio: float, image_out: Array) -> None:
+        """Sum an image over coarser pixels."""
+        ...
+
+    def correlate_templates(
+        self, image: Array, bank: Array, disc: Array, floor: Array, response_out: Array, angle_out: Array
+    ) -> None:
+        """Correlate an image, padded by n - 1, with a bank of n x n templates; the width must be a multiple of 4."""
+        ...
+
+    def sample_moments(
+        self, image: Array, image_idx: Array, pose: Array, active: Array, points: Array, table: Array,
+        chunks_out: Array, moments_out: Array,
+    ) -> None:  # fmt: skip
+        """Moments of images seen through poses; ``chunks_out`` is (N, any number of chunks, C + 1)."""
+        ...
+
+    def sample_moments_adjoint(
+        self, image: Array, image_idx: Array, pose: Array, active: Array, points: Array, table: Array,
+        adj_moments: Array, adj_image_out: Array,
+    ) -> None:  # fmt: skip
+        """Adjoint of `sample_moments` in the image; accumulates."""
+        ...
+
+    def code_rhs(
+        self, image: Array, pose: Array, lattice: Array, profile: Array, slope: Array, gain: Array,
+        samples_a_module: int, samples_out: Array, rows_out: Array, rhs_out: Array,
+    ) -> None:  # fmt: skip
+        """Right-hand side of stage two; ``samples_out`` is (B, S, S), ``rows_out`` (B, 2, S, M)."""
+        ...
+
+    def solve_code(
+        self, rhs: Array, stencil: Array, damping: Array, free: Array, q_inout: Array,
+        scratch: tuple[Array, ...], iterations_out: Array, *, max_iterations: int, tolerance: float,
+    ) -> None:  # fmt: skip
+        """Conjugate gradients over the free modules; ``scratch`` is four (B, M, M) and two (B, 4, M) arrays."""
+        ...
+
+    def render_affine(self, grid: Array, affine: Array, outside: Array, image_out: Array) -> None:
+        """Image of a grid under an affine map, bilinear."""
+        ...
+
+    def render_affine_adjoint(
+        self, grid: Array, affine: Array, outside: Array, adj_image: Array, rows_out: Array,
+        adj_grid_out: Array, adj_affine_out: Array,
+    ) -> None:  # fmt: skip
+        """Adjoint of `render_affine` in grid and affine; ``rows_out`` is (B, Y, 6)."""
+        ...
+
+    def brightness_residual(
+        self, luminance: Array, events_image: Array, motion: Array, residual_out: Array
+    ) -> None:
+        """Slope of the luminance along the motion, plus the events' image."""
+        ...
+
+    def brightness_residual_adjoint(
+        self, luminance: Array, motion: Array, adj_residual: Array, rows_out: Array, adj_luminance_out: Array,
+        adj_motion_out: Array,
+    ) -> None:  # fmt: skip
+        """Adjoint of `brightness_residual` in luminance and motion; ``rows_out`` is (B, Y, 2)."""
+        ...
+
+
+OPS = (
+    "bin_events",
+    "splat_events",
+    "splat_events_adjoint",
+    "motion_correlation",
+    "reduce_image",
+    "correlate_templates",
+    "sample_moments",
+    "sample_moments_adjoint",
+    "code_rhs",
+    "solve_code",
+    "render_affine",
+    "render_affine_adjoint",
+    "brightness_residual",
+    "brightness_residual_adjoint",
+)
+"""Names of the operations: the methods of a backend that compute."""
+
+
+class BackendUnavailable(ImportError):
+    """A backend that is known but cannot be loaded here; the message carries the cause and the remedy."""
+
+
+_targets = {
+    "numpy": "evqr_kernels.numpy_backend:load",
+    "warp": "evqr_kernels.warp_backend:load",
+    "taichi": "evqr_kernels.taichi_backend:load",
+}
+_extras = {"warp": "evqr", "taichi": "evqr[taichi]"}
+_loaded: dict[str, KernelBackend] = {}
+_lock = threading.Lock()
+
+
+def register_backend(name: str, target: str) -> None:
+    """Add or replace a backend.
+
+    Parameters
+    ----------
+    name
+        What `get_backend` shall know it by; "auto" is taken.
+    target
+        ``"module:attribute"``, imported when the backend is first asked for; the attribute is called without arguments
+        and returns a `KernelBackend`.
+
+    Raises
+    ------
+    ValueError
+        If the name is "auto" or the target is not of that form.
+    """
+    module, colon, attribute = target.partition(":")
+    if name == "auto":
+        raise ValueError("name must not be 'auto'")
+    if not (module and colon and attribute):
+        raise ValueError(f"target must be 'module:attribute', got {target!r}")
+    with _lock:
+        _targets[name] = target
+        _loaded.pop(name, None)
+
+
+def backend_names() -> tuple[str, ...]:
+    """Names that `get_backend` knows, whether or not they can be loaded here."""
+    return tuple(_targets)
+
+
+def get_backend(name: str = "auto") -> KernelBackend:
+    """Load a backend by name, once; "auto" is `AUTO`.  A named backend never falls back to another.
+
+    Raises
+    ------
+    ValueError
+        If the name is not registered.
+    BackendUnavailable
+        If the backend cannot be imported here.
+    """
+    if name == "auto":
+        name = AUTO
+        if name not in _loaded:
+            _log.info("backend 'auto' is %r", name)
+    with _lock:
+        if name not in _targets:
+            raise ValueError(f"backend must be one of {', '.join(('auto', *_targets))}, got {name!r}")
+        if name not in _loaded:
+            _loaded[name] = _load(name)
+        return _loaded[name]
+
+
+def _load(name: str) -> KernelBackend:
+    module, _, attribute = _targets[name].partition(":")
+    try:
+        return getattr(importlib.import_module(module), attribute)()
+    except ImportError as error:
+        if error.name == module:
+            remedy = "this version does not contain it"
+        elif name in _extras:
+            remedy = f'install it with: pip install "{_extras[name]}"'
+        else:
+            remedy = f"it is registered as {_targets[name]!r}"
+        raise BackendUnavailable(
+            f"backend {name!r} cannot be loaded ({type(error).__name__}: {error}); {remedy}",
+            name=error.name,
+            path=error.path,
+        ) from error
+
+
+def require_device(backend: KernelBackend, device: str) -> None:
+    """Raise ValueError, with the devices there are, unless the backend has this one."""
+    if device not in backend.devices():
+        raise ValueError(
+            f"device must be one that {backend.name} has here ({', '.join(backend.devices())}), got {device!r}"
+        )
