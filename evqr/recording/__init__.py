@@ -19,9 +19,10 @@ from ..types import EventArray
 from .arrays import open_arrays
 from .source import Source, TimeUnit
 from .stream import Recording
+from .summary import RecordingInfo, summarise
 from .writing import save_recording
 
-__all__ = ["Recording", "open_recording", "save_recording"]
+__all__ = ["Recording", "RecordingInfo", "open_recording", "save_recording", "summarise"]
 
 DEFAULT_CHUNK_EVENTS = 1 << 20
 HEAD_BYTES = 4096
@@ -38,7 +39,7 @@ def open_recording(
 
     Parameters
     ----------
-    source        path; `EventArray`; structured array with fields t, x, y, p or their usual aliases; (t, x, y, p)
+    source        path; `EventArray`; structured array with fields t, x, y, p or usual aliases; (t, x, y, p)
     sensor        (width, height) [px]; needed where the source does not tell
     time_unit     unit of the stored times; needed where neither source nor numbers tell
     chunk_events  about so many events a chunk
@@ -94,18 +95,35 @@ def _head(path: str) -> bytes:
 def _recognise(path: str, head: bytes) -> Callable[[str], Source]:
     """Which reader takes a file that starts like this; readers are imported only when needed."""
     if head.startswith(b"\x89HDF\r\n\x1a\n"):
-        from .hdf5 import Hdf5Source
+        from .hdf5 import Hdf5Source as reader
+    elif head.startswith(b"PK\x03\x04"):
+        from .numpy_files import NpzSource as reader
+    elif head.startswith(b"\x93NUMPY"):
+        from .numpy_files import NpySource as reader
+    elif head.startswith(b"#!AER-DAT4.0\r\n"):
+        from .aedat4 import Aedat4Source as reader
+    elif head.startswith(b"#ROSBAG V2.0\n"):
+        from .rosbag import BagSource as reader
+    elif _is_prophesee(head):
+        from .prophesee import open_prophesee as reader
+    elif _is_text(head):
+        from .text import TextSource as reader
+    else:
+        raise RecordingError(
+            f"{path}: not an event recording (starts with {head[:16]!r}); known are HDF5, npz, npy, text,"
+            ' and with pip install "evqr[formats]" Prophesee RAW and DAT, AEDAT4, ROS 1 bag'
+        )
+    return reader
 
-        return Hdf5Source
-    if head.startswith(b"PK\x03\x04"):
-        from .numpy_files import NpzSource
 
-        return NpzSource
-    if head.startswith(b"\x93NUMPY"):
-        from .numpy_files import NpySource
+def _is_prophesee(head: bytes) -> bool:
+    """Whether there are header lines such as ``% evt 3.0``, not just a text file's comments."""
+    first_lines = [line for line in head.lower().split(b"\n") if line.startswith(b"%")]
+    words = (b"evt", b"format", b"geometry", b"version", b"width", b"height")
+    return head.startswith(b"%") and any(line[1:].strip().startswith(words) for line in first_lines)
 
-        return NpySource
-    raise RecordingError(
-        f"{path}: not an event recording (starts with {head[:16]!r}); known are HDF5, npz, npy, text,"
-        ' and with pip install "evqr[formats]" Prophesee RAW and DAT, AEDAT4, ROS 1 bag'
-    )
+
+def _is_text(head: bytes) -> bool:
+    """Whether it is printable, and its lines no longer than lines are."""
+    printable = all(byte >= 0x20 or byte in b"\t\r\n" for byte in head.removeprefix(b"\xef\xbb\xbf"))
+    return printable and (b"\n" in head or len(head) < HEAD_BYTES) and not head.startswith(b"#!AER-DAT")

@@ -1,4 +1,4 @@
-"""HDF5: ``events/{t,x,y,p}`` (ours, DSEC), ``CD/events`` (Prophesee), ``raw_events/{t,x,y,p}``, flat or nested."""
+"""HDF5: ``events/{t,x,y,p}`` (ours, DSEC), ``CD/events`` (Prophesee), ``raw_events/...``, flat, nested."""
 
 from __future__ import annotations
 
@@ -37,7 +37,7 @@ class _Layout:
 
     @property
     def datasets(self) -> list[h5py.Dataset]:
-        return list({dataset.name: dataset for dataset, _ in self.columns.values()}.values())
+        return list({_name(dataset): dataset for dataset, _ in self.columns.values()}.values())
 
 
 class Hdf5Source(Source):
@@ -71,10 +71,10 @@ class Hdf5Source(Source):
         columns = self._layout.columns
         for i in range(0, self.n_events or 0, chunk_events):
             with explained(self.name, "HDF5 file"):
-                slices = {dataset.name: dataset[i : i + chunk_events] for dataset in self._layout.datasets}
+                slices = {_name(dataset): dataset[i : i + chunk_events] for dataset in self._layout.datasets}
                 raw = RawColumns(
                     *(
-                        slices[dataset.name] if field is None else slices[dataset.name][field]
+                        slices[_name(dataset)] if field is None else slices[_name(dataset)][field]
                         for dataset, field in (columns[column] for column in "txyp")
                     )
                 )
@@ -103,8 +103,9 @@ def _find_layout(file: h5py.File, path: str) -> _Layout:
         raise RecordingError(
             f"{path}: holds several recordings ({places}); export the one to read into its own file"
         )
-    group = file["events"] if isinstance(file.get("events"), h5py.Group) else file
-    require_columns(group.keys(), path, f"HDF5 group {group.name}")
+    events = file.get("events")
+    group = events if isinstance(events, h5py.Group) else file
+    require_columns(list(group), path, f"HDF5 group {group.name}")
     raise RecordingError(
         f"{path}: no event columns in this HDF5 file; it needs events/t, events/x, events/y, events/p"
     )
@@ -117,8 +118,11 @@ def _layout_at(thing: Any, place: str) -> _Layout | None:
         columns = {column: (thing, field) for column, field in found.items()}
         words = f"{place} compound"
     elif isinstance(thing, h5py.Group):
-        found = find_columns(name for name in thing if isinstance(thing.get(name), h5py.Dataset))
-        columns = {column: (thing[name], None) for column, name in found.items()}
+        datasets = {
+            name: child for name in map(str, thing) if isinstance(child := thing.get(name), h5py.Dataset)
+        }
+        found = find_columns(datasets)
+        columns = {column: (datasets[name], None) for column, name in found.items()}
         prefix = "" if place == "/" else f"{place}/"
         words = f"{prefix}{{{','.join(found.values())}}}"
     else:
@@ -128,7 +132,7 @@ def _layout_at(thing: Any, place: str) -> _Layout | None:
 
 def _check_readable(dataset: h5py.Dataset, path: str) -> None:
     """Refuse what would fail, or fill up memory, or silently give zeros when read."""
-    name = dataset.name
+    name = _name(dataset)
     if dataset.ndim != 1 or dataset.dtype.hasobject:
         raise RecordingError(
             f"{path}: {name} must be one-dimensional numbers, got {dataset.dtype} of shape {dataset.shape};"
@@ -176,19 +180,22 @@ def _require_filter(number: int, dataset: str, path: str) -> None:
 
 
 def _attributes(file: h5py.File, layout: _Layout) -> dict[str, Any]:
-    """Attributes of the root, of the groups down to the columns, and scalar datasets beside them."""
+    """Attributes of the root, of the group and of the columns' place, and scalar datasets beside them."""
     place = file[layout.place]
     group = place if isinstance(place, h5py.Group) else place.parent
     found: dict[str, Any] = {}
     for thing in (file, group, place):
         found |= dict(thing.attrs)
         if isinstance(thing, h5py.Group):
-            found |= {key: thing[key][()] for key in ("width", "height") if _is_scalar(thing.get(key))}
+            scalars = {key: _scalar(thing, key) for key in ("width", "height")}
+            found |= {key: value for key, value in scalars.items() if value is not None}
     return found
 
 
-def _is_scalar(thing: Any) -> bool:
-    return isinstance(thing, h5py.Dataset) and thing.shape == ()
+def _scalar(group: h5py.Group, key: str) -> Any:
+    """Value of a scalar dataset, or None."""
+    thing = group.get(key)
+    return thing[()] if isinstance(thing, h5py.Dataset) and thing.shape == () else None
 
 
 def _sensor(file: h5py.File, layout: _Layout, path: str) -> tuple[int, int] | None:
@@ -215,10 +222,10 @@ def _unit(file: h5py.File, layout: _Layout, path: str) -> DeclaredUnit | None:
             text = _text(times.attrs[key])
             if text.lower() not in UNIT_NAMES:
                 raise RecordingError(
-                    f"{path}: attribute {key} of {times.name} is {text!r}, no known unit;"
+                    f"{path}: attribute {key} of {_name(times)} is {text!r}, no known unit;"
                     " pass --time-unit us|ms|s|ns"
                 )
-            return DeclaredUnit(UNIT_NAMES[text.lower()], f"attribute {key} of {times.name} says {text}")
+            return DeclaredUnit(UNIT_NAMES[text.lower()], f"attribute {key} of {_name(times)} says {text}")
     if "ms_to_idx" in file or "t_offset" in file:
         return DeclaredUnit("us", "DSEC layout (ms_to_idx, t_offset) is in us")
     if layout.place == "CD/events":
@@ -227,7 +234,12 @@ def _unit(file: h5py.File, layout: _Layout, path: str) -> DeclaredUnit | None:
 
 
 def _dsec_offset(file: h5py.File) -> int:
-    return int(file["t_offset"][()]) if _is_scalar(file.get("t_offset")) else 0
+    offset = _scalar(file, "t_offset")
+    return 0 if offset is None else int(offset)
+
+
+def _name(dataset: h5py.Dataset) -> str:
+    return dataset.name or "unnamed dataset"
 
 
 def _text(value: Any) -> str:

@@ -1,7 +1,7 @@
 """Events in order of time out of events nearly in order of time, streaming.
 
-Recordings are often disordered locally: readout rows, packets of several threads, simulated frames.  Every chunk
-is held back until no later event may precede it any more, so the memory is what the sensor fires within
+Recordings are often disordered locally: readout rows, packets of several threads, simulated frames.  Every
+chunk is held back until no later event may precede it any more, so the memory is what the sensor fires within
 `MAX_DISORDER_US`.
 """
 
@@ -57,8 +57,9 @@ def in_order(
             if worst > MAX_DISORDER_US:
                 at = int(np.argmax(back > MAX_DISORDER_US))
                 raise RecordingError(
-                    f"{name}: times jump back by {int(back[at]):,} us to {chunk.t[at]} us at event {seen + at:,};"
-                    f" up to {MAX_DISORDER_US:,} us are sorted, more is refused: cut the recording there"
+                    f"{name}: times jump back by {int(back[at]):,} us to {chunk.t[at]} us at event"
+                    f" {seen + at:,}; up to {MAX_DISORDER_US:,} us are sorted, more is refused:"
+                    " cut the recording there"
                 )
             disorder.late_events += int(np.count_nonzero(back))
             disorder.worst_us = max(disorder.worst_us, worst)
@@ -71,7 +72,7 @@ def in_order(
 
 
 def _merged(held: deque[EventArray], chunk: EventArray, chunk_events: int) -> list[EventArray]:
-    """Take from ``held`` what overlaps ``chunk`` in time; return both sorted, in pieces of ``chunk_events``."""
+    """Take from ``held`` what overlaps ``chunk`` in time; return both sorted, cut to ``chunk_events``."""
     earliest = chunk.t.min()
     parts = [chunk]
     while held and held[-1].t[-1] > earliest:

@@ -74,14 +74,17 @@ class Source(ABC):
 def explained(name: str, what: str) -> Iterator[None]:
     """Turn whatever a decoder raises on damaged bytes into a `RecordingError` of one line.
 
-    The decoders below us (HDF5, zip, NumPy headers, native vendor readers) raise nearly every kind of exception
-    when bytes are damaged, so the net is as wide as theirs.
+    The decoders below us (HDF5, zip, NumPy headers, native vendor readers) raise nearly every kind of
+    exception when bytes are damaged, so the net is as wide as theirs.
     """
     try:
         yield
     except EvqrError:
         raise
-    except Exception as error:
+    except BaseException as error:
+        # A panic of a native reader is no Exception (pyo3 makes it a BaseException), but damage all the same.
+        if not isinstance(error, Exception) and type(error).__name__ != "PanicException":
+            raise
         detail = " ".join(str(error).split()) or type(error).__name__
         raise RecordingError(
             f"{name}: {what} is damaged or truncated ({detail}); copy or export it again"

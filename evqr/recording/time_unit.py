@@ -1,9 +1,9 @@
 """Which unit the time stamps of a recording are in, and why.
 
 The unit is, in this order: what the user says; what the file or its format says; what the numbers say.  The
-numbers are judged by their granularity (a microsecond clock leaves whole numbers in us, three decimals in ms, six
-in s), by the year that the last stamp would be, and by how many events each pixel would have fired a second.  Where
-two units remain, the answer is an error and not a guess.
+numbers are judged by their granularity (a microsecond clock leaves whole numbers in us, three decimals in ms,
+six in s), by the year that the last stamp would be, and by how many events a pixel would have fired a second.
+Where two units remain, or none, the answer is an error and not a guess.
 """
 
 from __future__ import annotations
@@ -16,8 +16,8 @@ from .source import DeclaredUnit, TimeUnit
 
 PER_SECOND: dict[TimeUnit, int] = {"s": 1, "ms": 1_000, "us": 1_000_000, "ns": 1_000_000_000}
 
-# Mean events a pixel and second.  Above the upper bound no pixel recovers and no readout follows; below the lower
-# one the recording would be quieter than the noise of any sensor.
+# Mean events a pixel and second.  Above the upper bound no pixel recovers and no readout follows; below the
+# lower one the recording would be quieter than the noise of any sensor.
 MIN_RATE, MAX_RATE = 1e-3, 2e4
 
 # No recording is younger than this [s since 1970]: the year 2100.
@@ -41,23 +41,23 @@ def decide_time_unit(t: NDArray, sensor: tuple[int, int], name: str) -> Declared
     span, last = float(t.max()) - float(t.min()), float(t.max())
 
     def rate(unit: TimeUnit) -> float:
-        return len(t) / pixels / (span / PER_SECOND[unit])
+        return len(t) / pixels * PER_SECOND[unit] / span if span else 0.0
 
-    def plausible(unit: TimeUnit) -> bool:
-        return last <= MAX_EPOCH_S * PER_SECOND[unit] and (span == 0 or MIN_RATE <= rate(unit) <= MAX_RATE)
-
-    candidates = [unit for unit in PER_SECOND if plausible(unit)]
-    usual, why = _usual_units(t)
-    chosen = [unit for unit in usual if unit in candidates] or candidates
+    possible: list[TimeUnit] = [
+        u for u in PER_SECOND if last <= MAX_EPOCH_S * PER_SECOND[u] and rate(u) <= MAX_RATE
+    ]
+    likely = [u for u in possible if span == 0 or rate(u) >= MIN_RATE]
+    usual, finding = _usual_units(t)
+    # Leave what is usual only where it is impossible; a recording may just be quiet.
+    expected: list[TimeUnit] = [u for u in usual if u in possible] or possible
+    chosen: list[TimeUnit] = [u for u in expected if u in likely]
     if len(chosen) == 1:
-        rate_text = "" if span == 0 else f", {rate(chosen[0]):.3g} events per pixel and second"
-        return DeclaredUnit(
-            chosen[0], f"{why if chosen[0] in usual else 'the only plausible rate'}{rate_text}"
-        )
-    options = f"could be {' or '.join(chosen)}" if chosen else "fits no unit"
+        reason = finding if chosen[0] in usual else f"{finding}, but {' and '.join(usual)} impossible"
+        return DeclaredUnit(chosen[0], f"{reason}; {rate(chosen[0]):.3g} events per pixel and second")
+    rates = ", ".join(f"{rate(u):.2g} in {u}" for u in expected)
     raise RecordingError(
-        f"{name}: unit of the time stamps undecidable: {why}, {t.min()} to {t.max()} over {len(t):,} events"
-        f" {options}; pass --time-unit us|ms|s|ns"
+        f"{name}: unit of the time stamps undecidable: {finding}, {t.min()} to {t.max()}, {len(t):,} events"
+        f" ({rates or 'no unit'} per pixel and second); pass --time-unit us|ms|s|ns"
     )
 
 

@@ -24,8 +24,8 @@ def save_recording(
     ----------
     path     .h5 or .hdf5 (``events/{t,x,y,p}``, p as {0, 1}, attrs width and height) or .npz (the same names)
     events   what to write
-    truth    what is true of the scene: scalars become attributes of the group ``truth``, arrays its datasets; in
-             .npz all become arrays ``truth/NAME``
+    truth    what is true of the scene: scalars become attributes of the group ``truth``, arrays its datasets;
+             in .npz all become arrays ``truth/NAME``
 
     Raises
     ------

@@ -1,0 +1,145 @@
+"""What a recording holds, in figures, and what looks wrong with it: `evqr info`."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+
+import numpy as np
+
+from ..types import EventArray
+from .stream import Recording
+
+PEAK_BIN_US = 1_000
+
+# What counts as suspicious.
+ONE_SIDED = 0.01  # a polarity with a smaller share of the events than this
+GAP_US, GAP_SHARE = 10_000, 0.2  # silence of this length and this share of the recording
+HOT_SHARE, HOT_RATIO = (
+    1e-3,
+    50,
+)  # a pixel with this share of all events and so often the mean of the active ones
+UNUSED_SHARE = 0.5  # events in less than this share of columns or rows
+MANY_EVENTS = 1_000  # the shares above mean nothing for fewer events
+
+
+@dataclass(frozen=True, kw_only=True)
+class RecordingInfo:
+    """Figures of one recording.
+
+    Attributes
+    ----------
+    path                         "" for arrays
+    format                       in words
+    width, height                sensor size [px]
+    events, on, off              counts
+    t_first_us, t_last_us        first and last time stamp [us]
+    mean_rate, peak_rate         events a second: over all, and in the busiest millisecond of the clock
+    time_unit, time_unit_reason  unit of the stored stamps, and how it is known
+    suspicious                   what looks wrong, each in one line
+    """
+
+    path: str
+    format: str
+    width: int
+    height: int
+    events: int
+    on: int
+    off: int
+    t_first_us: int
+    t_last_us: int
+    mean_rate: float
+    peak_rate: float
+    time_unit: str
+    time_unit_reason: str
+    suspicious: tuple[str, ...]
+
+    @property
+    def duration_us(self) -> int:
+        """Time from the first to the last event [us]."""
+        return self.t_last_us - self.t_first_us
+
+
+def summarise(recording: Recording) -> RecordingInfo:
+    """Stream through a recording once and count; raises `RecordingError` where streaming does."""
+    tally = _Tally(recording.width, recording.height)
+    for chunk in recording.chunks():
+        tally.add(chunk)
+    return RecordingInfo(
+        path=recording.path,
+        format=recording.format,
+        width=recording.width,
+        height=recording.height,
+        events=tally.events,
+        on=tally.on,
+        off=tally.events - tally.on,
+        t_first_us=tally.t_first,
+        t_last_us=tally.t_last,
+        # A recording of one instant is taken to last a microsecond.
+        mean_rate=tally.events * 1e6 / max(tally.t_last - tally.t_first, 1),
+        peak_rate=tally.peak * 1e6 / PEAK_BIN_US,
+        time_unit=recording.time_unit,
+        time_unit_reason=recording.time_unit_reason,
+        suspicious=(*recording.warnings, *tally.suspicions()),
+    )
+
+
+class _Tally:
+    """Counts that grow chunk by chunk."""
+
+    def __init__(self, width: int, height: int) -> None:
+        self.per_pixel = np.zeros((height, width), np.int64)
+        self.events = self.on = 0
+        self.t_first = self.t_last = 0
+        self.gap_us = self.gap_from = 0
+        self.peak = 0
+        self._bin, self._in_bin = (
+            -1,
+            0,
+        )  # the millisecond that may go on in the next chunk, and its events so far
+
+    def add(self, chunk: EventArray) -> None:
+        if self.events == 0:
+            self.t_first = self.t_last = int(chunk.t[0])
+        before = np.concatenate([[self.t_last], chunk.t[:-1]])
+        widest = int(np.argmax(chunk.t - before))
+        if chunk.t[widest] - before[widest] > self.gap_us:
+            self.gap_us, self.gap_from = int(chunk.t[widest] - before[widest]), int(before[widest])
+
+        bins, counts = np.unique(chunk.t // PEAK_BIN_US, return_counts=True)
+        if bins[0] == self._bin:
+            counts[0] += self._in_bin
+        self.peak = max(self.peak, int(counts.max()))
+        self._bin, self._in_bin = int(bins[-1]), int(counts[-1])
+
+        np.add.at(self.per_pixel, (chunk.y, chunk.x), 1)
+        self.events += len(chunk)
+        self.on += int(np.count_nonzero(chunk.p > 0))
+        self.t_last = int(chunk.t[-1])
+
+    def suspicions(self) -> Iterator[str]:
+        for name, count in (("brighter", self.on), ("darker", self.events - self.on)):
+            if count == 0:
+                yield f"no event says {name}: the polarity may have been lost in a conversion"
+            elif count < ONE_SIDED * self.events:
+                yield f"only {count:,} of {self.events:,} events say {name}"
+
+        duration = self.t_last - self.t_first
+        if self.gap_us >= max(GAP_US, GAP_SHARE * duration):
+            yield f"no event for {self.gap_us:,} us of {duration:,} us, from {self.gap_from} us on"
+
+        if self.events < MANY_EVENTS:
+            return
+        hot = self.per_pixel > max(
+            HOT_SHARE * self.events, HOT_RATIO * self.events / np.count_nonzero(self.per_pixel)
+        )
+        if np.any(hot):
+            y, x = np.unravel_index(int(np.argmax(self.per_pixel)), self.per_pixel.shape)
+            share = self.per_pixel[hot].sum() / self.events
+            yield f"{np.count_nonzero(hot)} hot pixels make {share:.1%} of all events, worst at x {x}, y {y}"
+
+        height, width = self.per_pixel.shape
+        columns, rows = np.any(self.per_pixel, axis=0), np.any(self.per_pixel, axis=1)
+        last_x, last_y = int(np.flatnonzero(columns)[-1]), int(np.flatnonzero(rows)[-1])
+        if last_x < UNUSED_SHARE * width or last_y < UNUSED_SHARE * height:
+            yield f"no event beyond x {last_x}, y {last_y}: is the sensor really {width}x{height}?"
