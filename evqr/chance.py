@@ -15,8 +15,8 @@ number of attempts, finds so good a content by chance.  Chernoff's inequality bo
 for every lambda (so the minimum need not be exact).  When all n modules agree, P is 2^-n.
 
 Symbols are rarely full: the pad codewords 0xEC and 0x11 fill them in turn, and p pads leave 256^(k - p)
-contents.  Half of the prior weight goes to blocks without pads and half, in equal parts, to the 2 k ways to end
-in pads (how many, and which is last), so 2 min(256^k, 2 k 256^(k - p)) stands in place of 256^k.
+contents.  Half of the prior weight goes to blocks without pads and half, in equal parts, to the 2 k ways to
+end in pads (how many, and which is last), so 2 min(256^k, 2 k 256^(k - p)) stands in place of 256^k.
 
 Blocks are judged one by one: where all others are right beyond doubt, chance in one is a wrong text all the
 same.  The sum of F over the blocks bounds the probability that at least one of them is chance.

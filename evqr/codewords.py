@@ -110,6 +110,23 @@ def format_words(version: int) -> tuple[NDArray[np.int8], tuple[tuple[ErrorLevel
     return read_only(np.array(words, np.int8)), meaning
 
 
+def symbol_of(codewords: NDArray[np.uint8], version: int, level: ErrorLevel, mask: int) -> NDArray[np.int8]:
+    """Return the exact symbol, (r, r) int8, that carries some codewords.
+
+    Parameters
+    ----------
+    codewords : (n,) uint8   data and check codewords of the first block, then of the second, ...
+    """
+    space = code_space(version)
+    words, meaning = format_words(version)
+    modules = np.ones(space.size**2, dtype=np.int8)
+    modules[codeword_layout(version, level).bits] = 1 - 2 * np.unpackbits(codewords).astype(np.int8)
+    modules = (modules * mask_signs(version)[mask]).reshape(space.size, space.size)
+    modules[space.known] = space.values[space.known]
+    modules[space.format] = words[meaning.index((level, mask))]
+    return modules
+
+
 @functools.cache
 def _placement(version: int) -> NDArray[np.intp]:
     """Return the flat indices of the data modules in the order in which codewords fill them."""

@@ -3,8 +3,8 @@
 Format information by soft correlation; unmask and deinterleave; correct each block, erasing ever more of its
 least reliable codewords; judge the result (evqr/chance.py); rebuild the exact symbol; zxing-cpp for the text.
 
-Reed-Solomon comes before zxing-cpp because zxing-cpp corrects up to the last check codeword, where it reads
-texts into chance grids of small symbols.  Given the exact symbol it has nothing left to correct, and interprets
+Reed-Solomon comes before zxing-cpp because zxing-cpp corrects up to the last check codeword: one chance grid
+in two million of version 1-L passes.  Given the exact symbol it has nothing left to correct, and interprets
 modes, ECI, kanji and the rest.
 """
 
@@ -22,7 +22,7 @@ from numpy.typing import NDArray
 
 from evqr.chance import count_pads, log_chance_contents
 from evqr.codespace import code_space, version_of
-from evqr.codewords import Block, ErrorLevel, codeword_layout, format_words, mask_signs
+from evqr.codewords import Block, ErrorLevel, codeword_layout, format_words, mask_signs, symbol_of
 
 Effort = Literal["quick", "full"]
 
@@ -243,7 +243,7 @@ def _decode_format(
         codewords[block.codewords] = result.codewords
         padding = padding and result.n_pads == block.n_data
 
-    modules = _symbol(codewords, version, level, mask)
+    modules = symbol_of(codewords, version, level, mask)
     barcode = zxingcpp.read_barcode(
         np.where(modules > 0, np.uint8(255), np.uint8(0)),
         formats=_QR_CODE,
@@ -253,11 +253,10 @@ def _decode_format(
         try_invert=False,
         try_downscale=False,
     )
-    if barcode is None or not barcode.valid:
-        return failed(f"error correction succeeded, but the data is malformed (level {level}, mask {mask})")
-    if not barcode.bytes:
-        # A texture that equals a mask (stripes, checks) is the all-zero word: valid, and empty.
-        return failed(f"the symbol is empty (level {level}, mask {mask})")
+    # A texture that equals a mask (stripes, checks) is the all-zero word: valid, and empty.
+    if barcode is None or not barcode.valid or not barcode.bytes:
+        reason = "error correction succeeded, but the data is empty or malformed"
+        return failed(f"{reason} (level {level}, mask {mask})")
 
     log_chance = hypotheses + float(np.logaddexp.reduce([b.log_chance for b in blocks]))
     data = code_space(version).data
@@ -281,18 +280,6 @@ def _decode_format(
     )
 
 
-def _symbol(codewords: NDArray[np.uint8], version: int, level: ErrorLevel, mask: int) -> NDArray[np.int8]:
-    """Return the exact symbol of some codewords (block after block), -1 dark and +1 light."""
-    space = code_space(version)
-    words, meaning = format_words(version)
-    modules = np.ones(space.size**2, dtype=np.int8)
-    modules[codeword_layout(version, level).bits] = 1 - 2 * np.unpackbits(codewords).astype(np.int8)
-    modules = (modules * mask_signs(version)[mask]).reshape(space.size, space.size)
-    modules[space.known] = space.values[space.known]
-    modules[space.format] = words[meaning.index((level, mask))]
-    return modules
-
-
 def _correct_block(
     soft: NDArray[np.float64], block: Block, tries: list[int], padding: bool, log_limit: float
 ) -> _CorrectedBlock | str:
@@ -307,10 +294,10 @@ def _correct_block(
     """
     received = np.packbits(soft < 0.0)
     syndromes = _syndromes(received, block.n_check)
-    typical = max(float(np.abs(soft).mean()), _TINY)
-    weights = np.minimum(np.abs(soft), _WEIGHT_CAP * typical)
-    # log of the probability that a codeword is right, for modules with Gaussian noise of typical strength
-    log_right = -np.logaddexp(0.0, -_LOG_ODDS * np.abs(soft) / typical).reshape(-1, 8).sum(1)
+    strength = np.abs(soft) / max(float(np.abs(soft).mean()), _TINY)
+    weights = np.minimum(strength, _WEIGHT_CAP)
+    # Log probability that all eight bits of a codeword are right, with Gaussian noise of typical strength.
+    log_right = -np.logaddexp(0.0, -_LOG_ODDS * strength).reshape(-1, 8).sum(1)
     doubtful = np.argsort(log_right, kind="stable").tolist()
 
     least = math.inf
