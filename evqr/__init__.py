@@ -20,7 +20,7 @@ if TYPE_CHECKING:
     from evqr.many import read_many
     from evqr.picture import draw_reading
     from evqr.reader import read_codes, read_windows
-    from evqr.recording import Recording, open_recording, save_recording, summarise
+    from evqr.recording import Recording, RecordingInfo, open_recording, save_recording, summarise
     from evqr.solver import Solver
     from evqr.types import CodeReading, EventArray, ReadResult, ReadStatus, WindowReading
 
@@ -34,6 +34,7 @@ __all__ = [
     "ReadStatus",
     "Recording",
     "RecordingError",
+    "RecordingInfo",
     "Solver",
     "UsageError",
     "Vote",
@@ -54,7 +55,7 @@ _HOME = {
     "evqr.many": ("read_many",),
     "evqr.picture": ("draw_reading",),
     "evqr.reader": ("read_codes", "read_windows"),
-    "evqr.recording": ("Recording", "open_recording", "save_recording", "summarise"),
+    "evqr.recording": ("Recording", "RecordingInfo", "open_recording", "save_recording", "summarise"),
     "evqr.solver": ("Solver",),
     "evqr.types": ("CodeReading", "EventArray", "ReadResult", "ReadStatus", "WindowReading"),
 }

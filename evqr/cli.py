@@ -6,7 +6,6 @@ was read, 2 bad input or bad use, 130 interrupted.
 
 from __future__ import annotations
 
-import dataclasses
 import io
 import multiprocessing
 import os
@@ -261,19 +260,17 @@ def _read_config(**given: Any) -> ReadConfig:
 
 
 def _prepare(backend: str, device: str) -> None:
-    """Refuse a backend or a device that is not there; say so when kernels will be compiled."""
-    from evqr_kernels.backend import BackendUnavailable, get_backend
+    """Refuse a backend or a device that is not there; compile kernels that are not yet, and say so."""
+    from evqr_kernels.backend import BackendUnavailable, get_backend, require_device
 
     try:
         kernels = get_backend(backend)
-    except BackendUnavailable as error:
+        require_device(kernels, device)
+    except (BackendUnavailable, ValueError) as error:
         raise UsageError(str(error)) from error
-    if device not in kernels.devices():
-        raise UsageError(
-            f"backend {kernels.name!r} has no device {device!r} here: choose {' or '.join(kernels.devices())}"
-        )
-    if kernels.needs_compile():
+    if kernels.needs_compile(device):
         _note("compiling kernels for this machine (first run only) ...")
+        kernels.load(device)
 
 
 def _read_one(recording: Recording, as_json: bool, picture: Path | None, **options: Any) -> int:
@@ -381,14 +378,8 @@ def info(recording: Path, as_json: bool, sensor: tuple[int, int] | None, time_un
     from evqr.recording import open_recording, summarise
 
     with open_recording(recording, sensor=sensor, time_unit=time_unit) as opened:
-        found = dataclasses.asdict(summarise(opened))
-    if as_json:
-        click.echo(report.json_line(found))
-    else:
-        for name, value in found.items():
-            lines = value if isinstance(value, (list, tuple)) else [value]
-            for line in lines or ["none"]:
-                click.echo(f"{name.replace('_', ' '):18s}  {line}")
+        found = summarise(opened)
+    click.echo(report.json_line(report.info_record(found)) if as_json else report.info_text(found))
     return OK
 
 
@@ -473,7 +464,7 @@ def simulate(
         duration_us=duration_us,
         seed=seed,
     )
-    save_recording(output, made.events, truth=made.truth)
+    save_recording(output, made.events, truth=made.truth.get("truth"))
     events = made.events
     duration_ms = (int(events.t[-1]) - int(events.t[0])) / 1000 if len(events) else 0.0
     click.echo(f"{output}: {len(events):,} events in {duration_ms:.1f} ms, {events.width}x{events.height}")

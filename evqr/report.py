@@ -5,13 +5,17 @@ from __future__ import annotations
 import base64
 import json
 from collections.abc import Mapping
+from dataclasses import asdict
 from enum import Enum
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from evqr.types import CodeReading, ReadResult, ReadStatus, WindowReading
+
+if TYPE_CHECKING:
+    from evqr.recording import RecordingInfo
 
 
 def json_line(record: Mapping[str, Any]) -> str:
@@ -112,6 +116,26 @@ def window_text(window: WindowReading) -> str:
     return (
         f"{window.window:5d}  {window.t_start_us}..{window.t_end_us} us  {window.n_events:7d} events  "
         f"{total:6.1f} ms  {window.status.value:7s}  {outcome}"
+    )
+
+
+def info_record(info: RecordingInfo) -> dict[str, Any]:
+    """Return what `evqr info --json` tells."""
+    return {**asdict(info), "duration_us": info.duration_us}
+
+
+def info_text(info: RecordingInfo) -> str:
+    """Describe a recording in a few lines."""
+    return "\n".join(
+        (
+            f"format      {printable(info.format)}",
+            f"sensor      {info.width}x{info.height}",
+            f"events      {info.events:,}: {info.on:,} brighter, {info.off:,} darker",
+            f"duration    {info.duration_us / 1000:.3f} ms: from {info.t_first_us} to {info.t_last_us} us",
+            f"time unit   {info.time_unit}: {info.time_unit_reason}",
+            f"rate        {info.mean_rate:,.0f} events/s, {info.peak_rate:,.0f} in the busiest millisecond",
+            *(f"suspicious  {printable(line)}" for line in info.suspicious or ("nothing",)),
+        )
     )
 
 

@@ -257,16 +257,23 @@ def test_the_first_run_says_that_it_compiles(capsys, monkeypatch):
 
     class Fresh:
         name = "fresh"
+        fresh = True
 
         def devices(self):
             return ("cpu",)
 
-        def needs_compile(self):
-            return True
+        def needs_compile(self, device):
+            return self.fresh
 
-    monkeypatch.setattr(evqr_kernels.backend, "get_backend", lambda name: Fresh())
+        def load(self, device):
+            self.fresh = False
+
+    kernels = Fresh()
+    monkeypatch.setattr(evqr_kernels.backend, "get_backend", lambda name: kernels)
     cli._prepare("auto", "cpu")
     assert "compiling kernels" in capsys.readouterr().err
+    cli._prepare("auto", "cpu")
+    assert capsys.readouterr().err == ""
 
 
 def test_warnings_of_a_recording_go_to_stderr(capsys, reads, tmp_path):
@@ -330,10 +337,12 @@ def test_simulate_and_info(capsys, tmp_path):
     status, out, _ = run(capsys, "info", path, "--json")
     (found,) = map(json.loads, out)
     assert status == 0
-    assert found["n_events"] > 1000
+    assert found["events"] > 1000
+    assert (found["width"], found["height"], found["time_unit"]) == (200, 160, "us")
+    assert 2000 < found["duration_us"] <= 3000
     status, out, _ = run(capsys, "info", path)
     assert status == 0
-    assert any("200" in line for line in out)
+    assert "sensor      200x160" in out
 
 
 @pytest.mark.parametrize("command", ["read", "info", "simulate", "demo"])
