@@ -82,9 +82,13 @@ def run(arguments: Sequence[str] | None = None) -> int:
             errors="backslashreplace"
         )  # a text that the terminal cannot show is no failure
     try:
-        status = evqr.main(args=arguments, prog_name="evqr", standalone_mode=False)
+        # Not click's own main, which gives a closed pipe the status that here means "nothing read".
+        with evqr.make_context("evqr", list(sys.argv[1:] if arguments is None else arguments)) as context:
+            status = evqr.invoke(context)
         sys.stdout.flush()
         return status
+    except click.exceptions.Exit as done:  # --help, --version
+        return done.exit_code
     except click.UsageError as error:
         command = error.ctx.command_path if error.ctx else "evqr"
         return _refuse(f"{error.format_message()} (see '{command} --help')")
@@ -92,7 +96,7 @@ def run(arguments: Sequence[str] | None = None) -> int:
         return _refuse(error.format_message())
     except EvqrError as error:
         return _refuse(str(error))
-    except (click.Abort, KeyboardInterrupt):
+    except KeyboardInterrupt:
         click.echo("evqr: interrupted", err=True)
         return INTERRUPTED
     except BrokenPipeError:

@@ -245,7 +245,7 @@ def test_bad_use_is_one_line(capsys, recording, monkeypatch, tmp_path, arguments
 
 def test_what_the_kernels_refuse_is_bad_use(capsys, monkeypatch, recording):
     monkeypatch.undo()  # the real _prepare
-    status, out, err = run(capsys, "read", recording, "--backend", "numpy", "--device", "cuda:99")
+    status, out, err = run(capsys, "read", recording, "--device", "cuda:99")
     assert (status, out, len(err)) == (2, [], 1)
     assert "cuda:99" in err[0]
 
