@@ -93,8 +93,8 @@ class CodeReading:
     motion_px_per_s: NDArray[np.float64]
     confidence: float
     errors_corrected: int
-    modules: NDArray[np.int8]
-    estimate: NDArray[np.float32]
+    modules: NDArray[np.int8] = field(repr=False)
+    estimate: NDArray[np.float32] = field(repr=False)
     compute_ms: Mapping[str, float]
 
 

@@ -1,0 +1,162 @@
+"""Settings of the stages, frozen; the defaults read everything in the project's own tests."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from enum import Enum
+
+
+class Vote(str, Enum):
+    """How windows of one code are combined."""
+
+    MODE = "mode"
+    """each module's majority over the windows, as in the paper"""
+    SOFT = "soft"
+    """mean of the real-valued estimates, weighted by their windows' information"""
+    INFORMATION = "information"
+    """sum of the windows' normal equations, solved once: the least-squares answer for all of them"""
+
+
+@dataclass(frozen=True, kw_only=True)
+class MotionConfig:
+    """Motion from cold, by correlation of the two halves of a window.
+
+    Attributes
+    ----------
+    probe_us      length of the first window tried while the speed is unknown [us]
+    travel_px     travel that the window for the estimate is lengthened or shortened to [px]
+    longest_us    a window is never made longer than this: slower motion is not read [us]
+    reduction     coarse binning for the first look [px]
+    reach_px      largest displacement between halves that the fine look covers [px]
+    clip          event count of a pixel and half above which more does not matter (hot pixels)
+    blur_px       blur of the correlation surface [px]
+    min_peak      correlation below which there is no common motion, 0 to 1
+    """
+
+    probe_us: int = 1000
+    travel_px: float = 3.0
+    longest_us: int = 50_000
+    reduction: int = 2
+    reach_px: int = 4
+    clip: float = 2.0
+    blur_px: float = 2.0
+    min_peak: float = 0.02
+
+
+@dataclass(frozen=True, kw_only=True)
+class FinderConfig:
+    """Search for finder patterns with a bank of matched filters.
+
+    Attributes
+    ----------
+    smallest_module_px, largest_module_px   module sizes searched [px]
+    scale_ratio          step from one module size to the next
+    cells_a_module       resolution of the search: cells of the reduced image a module
+    half                 half width of a template [cells]
+    min_response         normalised response of a finder pattern that counts, 0 to 1
+    max_peaks            peaks kept, the best over all scales
+    max_hypotheses       codes handed to stage one, the best by response
+    leg_tolerance        |log| of the ratio of the two legs
+    scale_tolerance      |log| of leg length over what version and module size ask for
+    angle_tolerance      between leg and finder pattern, and from a right angle [rad]
+    """
+
+    smallest_module_px: float = 3.0
+    largest_module_px: float = 22.0
+    scale_ratio: float = 1.22
+    cells_a_module: float = 1.25
+    half: int = 6
+    min_response: float = 0.3
+    max_peaks: int = 40
+    max_hypotheses: int = 12
+    leg_tolerance: float = 0.2
+    scale_tolerance: float = 0.16
+    angle_tolerance: float = 0.24
+
+
+@dataclass(frozen=True, kw_only=True)
+class StageOneConfig:
+    """Pose and gain, by Gauss-Newton on the known modules.
+
+    Attributes
+    ----------
+    cells_a_module     resolution of the image around the code: cells a module
+    epsilon_cells      standard deviation of an event's splat [cells]
+    sigma              blur of the model at the last level [modules]
+    coarse_sigmas      blurs of the levels before it when the pose is only roughly known [modules]
+    samples            samples a module at the last level
+    coarse_samples     samples a module at the levels before
+    max_iterations     at each level
+    tolerance          step at which a level has converged [modules]
+    damping            Levenberg-Marquardt, relative to the diagonal
+    shift_gain         score that a one-module shift must gain to be taken
+    min_score          correlation with the known modules below which there is no code, 0 to 1
+    """
+
+    cells_a_module: float = 2.2
+    epsilon_cells: float = 0.8
+    sigma: float = 0.36
+    coarse_sigmas: tuple[float, ...] = (0.9, 0.5)
+    samples: int = 2
+    coarse_samples: int = 2
+    max_iterations: int = 8
+    tolerance: float = 0.01
+    damping: float = 1e-3
+    shift_gain: float = 0.02
+    min_score: float = 0.5
+
+
+@dataclass(frozen=True, kw_only=True)
+class StageTwoConfig:
+    """Modules, by a damped linear least-squares problem.
+
+    Attributes
+    ----------
+    samples          samples a module
+    damping          relative to the largest diagonal entry of the normal matrix
+    tolerance        of the residual, relative
+    max_iterations   of conjugate gradients
+    """
+
+    samples: int = 2
+    damping: float = 0.1
+    tolerance: float = 1e-3
+    max_iterations: int = 40
+
+
+@dataclass(frozen=True, kw_only=True)
+class ReadConfig:
+    """What a reader does with a recording.
+
+    Attributes
+    ----------
+    window_us        length of a window; None: as long as ``travel_px`` takes [us]
+    travel_px        travel of the code in one window [px]
+    max_windows      stop after so many windows; None: all
+    lag_us           time constants of the pixels for ON and for OFF events; None: estimated [us]
+    vote             how windows are combined
+    search_px        travel between two searches for a code while none is tracked [px]
+    follow_px        travel between two windows of a code that is read already [px]
+    """
+
+    window_us: int | None = None
+    travel_px: float = 2.0
+    max_windows: int | None = None
+    lag_us: tuple[float, float] | None = None
+    vote: Vote = Vote.INFORMATION
+    search_px: float = 10.0
+    follow_px: float = 8.0
+    motion: MotionConfig = field(default_factory=MotionConfig)
+    finder: FinderConfig = field(default_factory=FinderConfig)
+    stage_one: StageOneConfig = field(default_factory=StageOneConfig)
+    stage_two: StageTwoConfig = field(default_factory=StageTwoConfig)
+
+    def __post_init__(self) -> None:
+        if self.window_us is not None and self.window_us < 1:
+            raise ValueError(f"window_us must be at least 1, got {self.window_us}")
+        if self.max_windows is not None and self.max_windows < 1:
+            raise ValueError(f"max_windows must be at least 1, got {self.max_windows}")
+        if not 0.2 <= self.travel_px <= 50.0:
+            raise ValueError(f"travel_px must be 0.2 to 50, got {self.travel_px}")
+        if self.lag_us is not None and not all(0.0 <= lag <= 1e5 for lag in self.lag_us):
+            raise ValueError(f"lag_us must be two times from 0 to 100000 us, got {self.lag_us}")

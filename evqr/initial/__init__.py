@@ -1,0 +1,1 @@
+"""From a window of events to first guesses of motion and pose."""

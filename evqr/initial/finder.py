@@ -1,0 +1,293 @@
+"""Finder patterns in the motion-compensated events, and the codes that three of them could belong to.
+
+The paper's 1:1:3:1:1 kernel on rows and columns finds nothing at 45 degrees: a code's axes are not the image's.  Here a
+bank of signed two-dimensional matched filters, ``-(grad of the finder pattern) . m / |m|`` at eight angles, runs over a
+pyramid on which a module always has the same size.  Coarse steps are enough: stage one refines.
+"""
+
+from __future__ import annotations
+
+import functools
+import math
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from evqr.codespace import MAX_VERSION, MIN_VERSION
+from evqr.config import FinderConfig
+from evqr.model import profiles
+from evqr.windows import Window
+from evqr.workspace import Workspace
+from evqr_kernels.config import SplatConfig
+
+ANGLES = 8
+SPLAT = SplatConfig(epsilon_px=0.8)
+CLIP_RMS = 2.5
+"""Cells are clipped at so many times the rms of the cells that have events: a hot pixel is no edge."""
+
+FLOOR = 0.15
+"""Energy of a quiet place, as a share of a template's energy over cells of rms strength."""
+
+
+@dataclass(frozen=True, eq=False)
+class Peaks:
+    """Places that look like a finder pattern, best first.
+
+    Attributes
+    ----------
+    response : (N,)    normalised, -1 to 1; negative where the code is inverted (or the motion backwards)
+    position : (N, 2)  [px]
+    module_px : (N,)   size of a module [px]
+    angle : (N,)       of the pattern's axes, 0 to pi / 2 [rad]
+    """
+
+    response: NDArray[np.float64]
+    position: NDArray[np.float64]
+    module_px: NDArray[np.float64]
+    angle: NDArray[np.float64]
+
+
+@dataclass(frozen=True, eq=False)
+class Hypothesis:
+    """A code that three finder patterns could belong to.
+
+    Attributes
+    ----------
+    version           1 to 40
+    pose : (3, 3)     code coordinates to px
+    response          sum of the three responses
+    inverted          light modules on dark
+    """
+
+    version: int
+    pose: NDArray[np.float64]
+    response: float
+    inverted: bool
+
+
+@functools.cache
+def _template_gradients(cells_a_module: float, half: int) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """Gradient of a finder pattern's luminance in the image, (2, n, n, ANGLES), and the disc (n, n) it fills."""
+    steps = np.arange(-half, half + 1) / cells_a_module
+    x, y = np.meshgrid(steps, steps)
+    disc = (x * x + y * y <= min(5.2, half / cells_a_module + 0.3) ** 2).astype(np.float64)
+    sigma = 0.8 / cells_a_module * 0.8
+    gradients = np.empty((2, *x.shape, ANGLES))
+    for a in range(ANGLES):
+        cos, sin = math.cos(a * math.pi / 2 / ANGLES), math.sin(a * math.pi / 2 / ANGLES)
+        u, v = cos * x + sin * y, -sin * x + cos * y
+        along_u, along_v = np.zeros_like(u), np.zeros_like(u)
+        for size, sign in ((7, -1.0), (5, 1.0), (3, -1.0)):
+            # a square of `size` modules is a module's profile, stretched
+            fu, du, _ = profiles((u + size / 2) / size, sigma / size)
+            fv, dv, _ = profiles((v + size / 2) / size, sigma / size)
+            along_u += sign * du / size * fv
+            along_v += sign * fu * dv / size
+        gradients[0, :, :, a] = (cos * along_u - sin * along_v) * disc
+        gradients[1, :, :, a] = (sin * along_u + cos * along_v) * disc
+    return gradients, disc
+
+
+def _bank(direction: NDArray[np.float64], cfg: FinderConfig) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
+    gradients, disc = _template_gradients(cfg.cells_a_module, cfg.half)
+    bank = -(direction[0] * gradients[0] + direction[1] * gradients[1])
+    bank /= np.sqrt(np.square(bank).sum(axis=(0, 1)))
+    return np.ascontiguousarray(bank, dtype=np.float32), disc.astype(np.float32)
+
+
+def _module_sizes(cfg: FinderConfig) -> list[float]:
+    count = math.ceil(math.log(cfg.largest_module_px / cfg.smallest_module_px) / math.log(cfg.scale_ratio)) + 1
+    return [cfg.smallest_module_px * cfg.scale_ratio**k for k in range(count)]
+
+
+def _four(count: int) -> int:
+    return -(-count // 4) * 4
+
+
+def find_peaks(
+    window: Window,
+    velocity: NDArray[np.float64],
+    cfg: FinderConfig,
+    *,
+    workspace: Workspace,
+    lag_px: tuple[float, float] = (0.0, 0.0),
+) -> Peaks:
+    """Find what looks like a finder pattern in a window.
+
+    Parameters
+    ----------
+    velocity : (2,) [px/s]
+    lag_px          lag of the pixels for ON and OFF events along the motion [px]
+    """
+    backend, device = workspace.backend, workspace.device
+    speed = float(np.hypot(*velocity))
+    bank, disc = _bank(velocity / speed, cfg)
+    bank_dev, disc_dev = workspace.put(bank), workspace.put(disc)
+    pad = cfg.half
+    sizes = _module_sizes(cfg)
+    found: list[NDArray[np.float64]] = []
+    fine = None
+    floor = 0.0
+    for level, module_px in enumerate(sizes):
+        cell = module_px / cfg.cells_a_module
+        height, width = math.ceil(window.height / cell), math.ceil(window.width / cell)
+        if min(height, width) < 2 * pad + 1:
+            break
+        image = workspace.buffer("finder level", (1, height, width))
+        cells = workspace.get(image)
+        if fine is None:
+            cells.fill(0.0)
+            backend.splat_events(
+                workspace.put(window.x),
+                workspace.put(window.y),
+                workspace.put(window.t),
+                workspace.put(window.p),
+                workspace.put(np.array([0, len(window)], np.int32)),
+                workspace.put(velocity[None].astype(np.float32)),
+                workspace.put(np.array([lag_px], np.float32) / np.float32(cell)),
+                workspace.put(np.array([[0.0, 0.0, cell]], np.float32)),
+                image,
+                SPLAT,
+            )
+        else:
+            backend.reduce_image(fine, cfg.scale_ratio, image)
+        backend.synchronize(device)
+        busy = float(np.count_nonzero(np.abs(cells) > 1e-6))
+        rms = math.sqrt(float(np.square(cells).sum()) / max(busy, 1.0))
+        if fine is None:
+            np.clip(cells, -CLIP_RMS * rms, CLIP_RMS * rms, out=cells)
+        fine = image
+        floor = FLOOR * rms * rms * float(disc.sum())
+        wide = _four(width)
+        padded = workspace.buffer("finder padded", (1, height + 2 * pad, wide + 2 * pad))
+        canvas = workspace.get(padded)
+        canvas.fill(0.0)
+        canvas[:, pad : pad + height, pad : pad + width] = cells
+        response = workspace.buffer("finder response", (1, height, wide))
+        angle = workspace.buffer("finder angle", (1, height, wide), np.int32)
+        backend.correlate_templates(
+            padded, bank_dev, disc_dev, workspace.put(np.array([floor], np.float32)), response, angle
+        )
+        backend.synchronize(device)
+        found.append(_local_peaks(workspace.get(response)[0], workspace.get(angle)[0], module_px, cell, cfg))
+    return _merge(np.concatenate(found), cfg)
+
+
+def _local_peaks(
+    response: NDArray[np.float32], angle: NDArray[np.int32], module_px: float, cell: float, cfg: FinderConfig
+) -> NDArray[np.float64]:
+    """Local maxima of |response| on one level: rows of (response, x, y, module, angle)."""
+    strength = np.abs(response)
+    rows, columns = np.nonzero(strength > cfg.min_response)
+    inside = (rows > 0) & (columns > 0) & (rows < response.shape[0] - 1) & (columns < response.shape[1] - 1)
+    rows, columns = rows[inside], columns[inside]
+    value = strength[rows, columns]
+    top = np.ones(len(rows), bool)
+    for dy in (-1, 0, 1):
+        for dx in (-1, 0, 1):
+            top &= value >= strength[rows + dy, columns + dx]
+    rows, columns, value = rows[top], columns[top], value[top]
+    if len(rows) > cfg.max_peaks:
+        best = np.argpartition(-value, cfg.max_peaks)[: cfg.max_peaks]
+        rows, columns, value = rows[best], columns[best], value[best]
+
+    def offset(before: NDArray[np.float32], after: NDArray[np.float32]) -> NDArray[np.float64]:
+        bend = np.maximum(2.0 * value - before - after, 1e-9)
+        return np.clip(0.5 * (after - before) / bend, -0.5, 0.5)
+
+    x = columns + offset(strength[rows, columns - 1], strength[rows, columns + 1])
+    y = rows + offset(strength[rows - 1, columns], strength[rows + 1, columns])
+    return np.stack(
+        [
+            response[rows, columns].astype(np.float64),
+            (x + 0.5) * cell - 0.5,
+            (y + 0.5) * cell - 0.5,
+            np.full(len(rows), module_px),
+            angle[rows, columns] * (math.pi / 2 / ANGLES),
+        ],
+        axis=1,
+    )
+
+
+def _merge(found: NDArray[np.float64], cfg: FinderConfig) -> Peaks:
+    """The best peaks; a place seen again on a neighbouring level is the same peak."""
+    found = found[np.argsort(-np.abs(found[:, 0]), kind="stable")]
+    kept: list[NDArray[np.float64]] = []
+    left = np.ones(len(found), bool)
+    for k in range(len(found)):
+        if not left[k]:
+            continue
+        peak = found[k]
+        near = (
+            left
+            & (np.hypot(found[:, 1] - peak[1], found[:, 2] - peak[2]) < 2.0 * peak[3])
+            & (np.abs(np.log(found[:, 3] / peak[3])) < 1.5 * math.log(cfg.scale_ratio))
+            & (found[:, 0] * peak[0] > 0.0)
+        )
+        left &= ~near
+        kept.append(peak)
+        if len(kept) == cfg.max_peaks:
+            break
+    table = np.array(kept).reshape(-1, 5)
+    return Peaks(table[:, 0], table[:, 1:3], table[:, 3], table[:, 4])
+
+
+def find_hypotheses(peaks: Peaks, cfg: FinderConfig) -> list[Hypothesis]:
+    """Triples of peaks that make the corners of a code, best first.
+
+    Corner i sees its neighbours j (along u) and k (along v) at a right angle, with equal legs of 10 + 4 version modules.
+    """
+    n = len(peaks.response)
+    if n < 3:
+        return []
+    to = peaks.position[None, :, :] - peaks.position[:, None, :]
+    leg = np.hypot(to[..., 0], to[..., 1])
+    direction = np.arctan2(to[..., 1], to[..., 0])
+    size = np.log(peaks.module_px)
+    log_leg = np.log(np.maximum(leg, 1e-9))
+
+    def turn(a: NDArray[np.float64], period: float) -> NDArray[np.float64]:
+        return np.abs((a + period / 2) % period - period / 2)
+
+    along_axes = turn(direction - peaks.angle[:, None], math.pi / 2) < cfg.angle_tolerance
+    along_axes &= turn(direction - peaks.angle[None, :], math.pi / 2) < cfg.angle_tolerance
+    pair = along_axes & (peaks.response[:, None] * peaks.response[None, :] > 0.0)
+    pair &= np.abs(size[:, None] - size[None, :]) < 2.0 * cfg.scale_tolerance
+    pair &= log_leg > np.minimum(size[:, None], size[None, :]) + math.log(14.0) - 2.0 * cfg.scale_tolerance
+
+    i, j, k = np.nonzero(
+        pair[:, :, None]
+        & pair[:, None, :]
+        & (turn(direction[:, None, :] - direction[:, :, None] - math.pi / 2, 2.0 * math.pi) < cfg.angle_tolerance)
+        & (np.abs(log_leg[:, :, None] - log_leg[:, None, :]) < cfg.leg_tolerance)
+    )
+    response = np.abs(peaks.response[i]) + np.abs(peaks.response[j]) + np.abs(peaks.response[k])
+    modules = 0.5 * (log_leg[i, j] + log_leg[i, k]) - (size[i] + size[j] + size[k]) / 3.0
+    hypotheses: list[Hypothesis] = []
+    for t in np.argsort(-response, kind="stable"):
+        versions = np.arange(MIN_VERSION, MAX_VERSION + 1)
+        misfit = np.abs(np.log(10.0 + 4.0 * versions) - modules[t])
+        for v in np.argsort(misfit, kind="stable"):
+            if misfit[v] > cfg.scale_tolerance:
+                break
+            hypotheses.append(
+                Hypothesis(
+                    int(versions[v]),
+                    _pose(peaks.position[i[t]], to[i[t], j[t]], to[i[t], k[t]], int(versions[v])),
+                    float(response[t]),
+                    bool(peaks.response[i[t]] < 0.0),
+                )
+            )
+        if len(hypotheses) >= cfg.max_hypotheses:
+            break
+    return hypotheses
+
+
+def _pose(
+    corner: NDArray[np.float64], leg_u: NDArray[np.float64], leg_v: NDArray[np.float64], version: int
+) -> NDArray[np.float64]:
+    """Affine pose from the centre of the top-left finder pattern and the two legs."""
+    per_u, per_v = leg_u / (10 + 4 * version), leg_v / (10 + 4 * version)
+    origin = corner - 3.5 * per_u - 3.5 * per_v
+    return np.array([[per_u[0], per_v[0], origin[0]], [per_u[1], per_v[1], origin[1]], [0.0, 0.0, 1.0]])

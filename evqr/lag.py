@@ -1,0 +1,88 @@
+"""How far the pixels lag: one time constant for ON and one for OFF events.
+
+A photoreceptor is a first-order low-pass, tau dY/dt + Y = X.  Seen from the moving code that smears the image along the motion over
+lag = |v| tau px, and one directional derivative undoes it (`evqr_kernels`, splat_events).  OFF events lag about twice as much as ON
+events: a darker pixel is slower.  The image is linear in both lags, so four images (ON and OFF, plain and differentiated) give it for
+every pair of lags; the pair is taken whose image agrees best with the known modules.
+
+The image must be blurred by about a quarter of a module, as regions are, or the comparison favours small lags: sharpening also
+sharpens noise.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from evqr.config import StageOneConfig
+from evqr.region import Region, splat_region
+from evqr.stage_one import Alignment, align, fine_levels
+from evqr.windows import Window
+from evqr.workspace import Workspace
+
+FIRST_LAGS = (0.0, 0.2, 0.4, 0.7, 1.0, 1.5)
+"""ON lags tried first [modules]."""
+
+OFF_OVER_ON = 1.6
+"""Ratio of the lags tried first."""
+
+FACTORS = (0.6, 1.0, 1.6)
+"""Factors around the best first pair, for ON and for OFF."""
+
+
+def estimate_lag(
+    window: Window,
+    velocity: NDArray[np.float64],
+    region: Region,
+    pose: NDArray[np.float64],
+    version: int,
+    cfg: StageOneConfig,
+    *,
+    workspace: Workspace,
+) -> tuple[tuple[float, float], Alignment]:
+    """Estimate the lags at a pose that stage one found without them.
+
+    Parameters
+    ----------
+    pose : (3, 3)   code coordinates to cells of the region
+
+    Returns
+    -------
+    lag_px      ON and OFF [px]
+    alignment   of the pose with these lags, one hypothesis
+    """
+    direction = velocity / np.hypot(*velocity)
+    plain, slope = [], []
+    for sign in (1.0, -1.0):
+        part = window.keep(window.p * sign > 0.0)
+        image = splat_region(part, velocity, region, cfg, workspace=workspace)
+        plain.append(workspace.get(image)[0].copy())
+        image = splat_region(part, velocity, region, cfg, workspace=workspace, lag_px=(region.cell, region.cell))
+        slope.append(workspace.get(image)[0] - plain[-1])
+
+    def try_pairs(pairs: list[tuple[float, float]], start: list[NDArray[np.float64]]) -> Alignment:
+        images = workspace.buffer("lag images", (len(pairs), region.height, region.width))
+        values = workspace.get(images)
+        for k, (on, off) in enumerate(pairs):
+            values[k] = plain[0] + plain[1] + on / region.cell * slope[0] + off / region.cell * slope[1]
+        idx = np.arange(len(pairs), dtype=np.int32)
+        return align(images, np.stack(start), version, fine_levels(cfg), cfg, workspace=workspace, image_idx=idx)
+
+    module = region.cell * cfg.cells_a_module
+    first = [(lag * module, OFF_OVER_ON * lag * module) for lag in FIRST_LAGS]
+    # a lagging edge is seen behind the true one by the mean lag
+    start = []
+    for on, off in first:
+        ahead = np.eye(3)
+        ahead[:2, 2] = direction * 0.5 * (on + off) / region.cell
+        start.append(ahead @ pose)
+    tried = try_pairs(first, start)
+    best = int(tried.score.argmax())
+    base_on, base_off = first[best] if best else (0.1 * module, 0.16 * module)
+    second = [first[best]] + [(base_on * f, base_off * g) for f in FACTORS for g in FACTORS if (f, g) != (1.0, 1.0)]
+    tried = try_pairs(second, [tried.pose[best]] * len(second))
+    best = int(tried.score.argmax())
+    pick = slice(best, best + 1)
+    return second[best], Alignment(
+        tried.pose[pick], tried.gain[pick], tried.score[pick], tried.noise[pick], tried.iterations
+    )

@@ -1,0 +1,131 @@
+"""Windows: stretches of events with times relative to a reference, and the buffer that a stream is cut into them from."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from evqr.types import EventArray
+
+
+@dataclass(frozen=True, eq=False)
+class Window:
+    """Events of one window, as kernels take them.
+
+    Attributes
+    ----------
+    x, y : (E,) float32 [px]
+    t : (E,) float32 [s]      relative to the middle of the window, ascending
+    p : (E,) float32          -1 or +1
+    start_us, end_us          bounds, the end not included [us]
+    width, height             sensor size [px]
+    """
+
+    x: NDArray[np.float32]
+    y: NDArray[np.float32]
+    t: NDArray[np.float32]
+    p: NDArray[np.float32]
+    start_us: int
+    end_us: int
+    width: int
+    height: int
+
+    def __len__(self) -> int:
+        return len(self.t)
+
+    @property
+    def seconds(self) -> float:
+        """Length of the window [s]."""
+        return (self.end_us - self.start_us) * 1e-6
+
+    @property
+    def middle_us(self) -> float:
+        """Reference time of the window: its middle [us]."""
+        return 0.5 * (self.start_us + self.end_us)
+
+    def keep(self, mask: NDArray[np.bool_]) -> Window:
+        """The window with only the events where ``mask``."""
+        return Window(
+            self.x[mask], self.y[mask], self.t[mask], self.p[mask],
+            self.start_us, self.end_us, self.width, self.height,
+        )  # fmt: skip
+
+
+def make_window(events: EventArray, start_us: int, end_us: int) -> Window:
+    """Cut a window out of events in order of time.
+
+    The middle is the reference: an error of the motion then blurs the window, but does not move the code.
+    """
+    part = events.between(start_us, end_us)
+    relative = (2 * part.t - (start_us + end_us)).astype(np.float32)
+    relative *= np.float32(0.5e-6)
+    return Window(
+        part.x.astype(np.float32),
+        part.y.astype(np.float32),
+        relative,
+        part.p.astype(np.float32),
+        start_us,
+        end_us,
+        events.width,
+        events.height,
+    )
+
+
+class EventBuffer:
+    """The part of a stream that windows are still cut from.
+
+    Holds whole chunks, from the oldest one that is still wanted to the newest one that was asked for; `forget` lets go of
+    the old ones, so the memory is bounded by the longest window and one chunk.
+    """
+
+    def __init__(self, chunks: Iterator[EventArray]) -> None:
+        self._chunks = chunks
+        self._held: list[EventArray] = []
+        self._ended = False
+        self.first_us: int | None = None
+        self.seen = 0
+        self._load()
+
+    def _load(self) -> None:
+        for chunk in self._chunks:
+            if len(chunk):
+                if self.first_us is None:
+                    self.first_us = int(chunk.t[0])
+                self.seen += len(chunk)
+                self._held.append(chunk)
+                return
+        self._ended = True
+
+    @property
+    def last_us(self) -> int:
+        """Time of the newest event held [us]."""
+        return int(self._held[-1].t[-1])
+
+    def reaches(self, time_us: float) -> bool:
+        """Load the stream up to a time; False when it ends before."""
+        while not self._ended and (not self._held or self.last_us < time_us):
+            self._load()
+        return bool(self._held) and self.last_us >= time_us
+
+    def forget(self, before_us: float) -> None:
+        """Let go of chunks that end before a time."""
+        while len(self._held) > 1 and self._held[0].t[-1] < before_us:
+            self._held.pop(0)
+
+    def window(self, start_us: int, end_us: int) -> Window:
+        """Cut a window, loading what it needs."""
+        self.reaches(end_us)
+        parts = [c.between(start_us, end_us) for c in self._held if c.t[-1] >= start_us and c.t[0] < end_us]
+        if not parts:
+            parts = [self._held[-1].cut(0, 0)]
+        if len(parts) == 1:
+            return make_window(parts[0], start_us, end_us)
+        joined = EventArray(
+            *(np.concatenate([getattr(part, name) for part in parts]) for name in ("t", "x", "y", "p")),
+            parts[0].width,
+            parts[0].height,
+        )
+        return make_window(joined, start_us, end_us)
