@@ -27,6 +27,7 @@ if TYPE_CHECKING:
     from evqr.config import ReadConfig
     from evqr.recording import Recording
     from evqr.recording.source import TimeUnit
+    from evqr_kernels.backend import KernelBackend
 
 OK, NOTHING, BAD, INTERRUPTED, PIPE_CLOSED = 0, 1, 2, 130, 141
 
@@ -231,10 +232,10 @@ def read(
     if each_window and picture:
         raise UsageError("--picture draws a reading of the whole recording: leave out --each-window")
     config = _read_config(window_us=window_us, max_windows=max_windows, lag_us=lag_us, vote=vote)
-    _prepare(backend, device)
     compute = {"config": config, "backend": backend, "device": device}
     told = {"sensor": sensor, "time_unit": time_unit}
     if len(recordings) != 1:
+        _prepare(backend, device)
         if threads is None and jobs > 1:
             threads = max(1, (os.cpu_count() or 1) // jobs)
         return _read_many(recordings, jobs, as_json, threads=threads, **told, **compute)
@@ -242,6 +243,7 @@ def read(
     from evqr.recording import open_recording
 
     with open_recording(recordings[0], **told) as recording:
+        _prepare(backend, device)
         if each_window:
             status = _read_each_window(recording, as_json, threads=threads, **compute)
         else:
@@ -265,16 +267,33 @@ def _read_config(**given: Any) -> ReadConfig:
 
 def _prepare(backend: str, device: str) -> None:
     """Refuse a backend or a device that is not there; compile kernels that are not yet, and say so."""
-    from evqr_kernels.backend import BackendUnavailable, get_backend, require_device
+    from evqr_kernels.backend import BackendUnavailable, require_device
 
     try:
-        kernels = get_backend(backend)
+        kernels = _load_backend(backend, device)
         require_device(kernels, device)
     except (BackendUnavailable, ValueError) as error:
         raise UsageError(str(error)) from error
     if kernels.needs_compile(device):
         _note("compiling kernels for this machine (first run only) ...")
         kernels.load(device)
+
+
+def _load_backend(backend: str, device: str) -> KernelBackend:
+    from evqr_kernels.backend import get_backend
+
+    if device != "cpu":
+        return get_backend(backend)
+    # Warp's library says past sys.stderr that there is no GPU; who asked for the CPU need not hear it.
+    sys.stderr.flush()
+    stderr = os.dup(2)
+    try:
+        with open(os.devnull, "wb") as nowhere:
+            os.dup2(nowhere.fileno(), 2)
+        return get_backend(backend)
+    finally:
+        os.dup2(stderr, 2)
+        os.close(stderr)
 
 
 def _read_one(recording: Recording, as_json: bool, picture: Path | None, **options: Any) -> int:
@@ -309,7 +328,7 @@ def _read_many(recordings: tuple[Path, ...], jobs: int, as_json: bool, **options
     from evqr.many import read_many
 
     statuses = []
-    with _process_pool(jobs) as pool:
+    with _process_pool(jobs, options["backend"], options["device"]) as pool:
         results = read_many(recordings, executor=pool, **options)
         # disable=None: no bar where stderr is no terminal
         for path, result in zip(
@@ -324,7 +343,7 @@ def _read_many(recordings: tuple[Path, ...], jobs: int, as_json: bool, **options
 
 
 @contextmanager
-def _process_pool(jobs: int) -> Iterator[ProcessPoolExecutor | None]:
+def _process_pool(jobs: int, backend: str, device: str) -> Iterator[ProcessPoolExecutor | None]:
     """Start workers as fresh processes: kernels and their threads do not survive a fork."""
     if jobs == 1:
         yield None
@@ -332,14 +351,19 @@ def _process_pool(jobs: int) -> Iterator[ProcessPoolExecutor | None]:
     pool = ProcessPoolExecutor(
         jobs,
         mp_context=multiprocessing.get_context("spawn"),
-        # Ctrl-C reaches the workers too: let it end them at once, without a traceback each.
-        initializer=signal.signal,
-        initargs=(signal.SIGINT, signal.SIG_DFL),
+        initializer=_start_worker,
+        initargs=(backend, device),
     )
     try:
         yield pool
     finally:
         pool.shutdown(cancel_futures=True)
+
+
+def _start_worker(backend: str, device: str) -> None:
+    # Ctrl-C reaches the workers too: let it end them at once, without a traceback each.
+    signal.signal(signal.SIGINT, signal.SIG_DFL)
+    _load_backend(backend, device)
 
 
 def _show(result: ReadResult, as_json: bool, extra: dict[str, Any]) -> None:
@@ -450,6 +474,7 @@ def simulate(
     from evqr.recording import save_recording
     from evqr.simulate import simulate as run_simulation
 
+    _load_backend("warp", "cpu")  # the simulator runs on it
     made = run_simulation(
         text,
         version=version,
