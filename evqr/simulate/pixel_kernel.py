@@ -40,6 +40,8 @@ def crossing(level: float, slope: float, lag: float, rate: float, first: float, 
     below = level_after(level, slope, lag, rate, first) - target
     above = level_after(level, slope, lag, rate, last) - target
     s = wp.clamp(first - below * (last - first) / (above - below), first, last)
+    if lag == 0.0:
+        return s
     for _ in range(ROOT_STEPS):
         miss = level_after(level, slope, lag, rate, s) - target
         if (miss < 0.0) == (below < 0.0):
