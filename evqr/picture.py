@@ -31,10 +31,14 @@ COMPENSATED_TRAVEL = 3.0
 WIDTH, MARGIN, GAP, HEAD, TITLE, LEGEND = 12.0, 0.4, 0.35, 0.85, 0.3, 0.4  # layout [inches]
 
 
-def span_us(reading: CodeReading) -> tuple[int, int]:
-    """Return the event times ``[start, end)`` [us] that `draw_reading` shows; it ends at ``t_read_us``."""
-    start = max(reading.t_first_us, reading.t_read_us - _travel_us(reading, COMPENSATED_TRAVEL))
-    return min(start, reading.t_read_us - 1), reading.t_read_us
+def span_us(reading: CodeReading, travel: float = COMPENSATED_TRAVEL) -> tuple[int, int]:
+    """Return event times ``[start, end)`` [us] in which the code moves by ``travel`` modules.
+
+    They end at ``t_read_us``, or later where the code was first seen too shortly before.
+    """
+    length = _travel_us(reading, travel)
+    start = max(reading.t_first_us, reading.t_read_us - length)
+    return start, start + length
 
 
 def picture_events(recording: Recording, reading: CodeReading) -> EventArray:
@@ -153,14 +157,14 @@ def _draw_heading(figure: Figure, reading: CodeReading) -> None:
 
 
 def _draw_events(axes: Axes, events: EventArray, reading: CodeReading) -> None:
-    """Last event of each pixel, shortly before the code was read."""
-    start = max(span_us(reading)[0], reading.t_read_us - _travel_us(reading, RAW_TRAVEL))
-    shown = events.between(start, reading.t_read_us)
+    """Last event of each pixel, about when the code was read."""
+    start, end = span_us(reading, RAW_TRAVEL)
+    shown = events.between(start, end)
     image = np.zeros((events.height, events.width), np.int8)
     image[shown.y, shown.x] = shown.p
     axes.imshow(image, cmap=_event_colours(), vmin=-1, vmax=1, interpolation="nearest")
     _draw_outline(axes, reading, linewidth=1.2)
-    _frame(axes, f"events of {(reading.t_read_us - start) / 1000:.2f} ms")
+    _frame(axes, f"events of {(end - start) / 1000:.2f} ms")
     _draw_legend(axes, ((ON, "brighter"), (OFF, "darker")))
 
 

@@ -34,6 +34,15 @@ def moving_dots(reading):
     )
 
 
+def test_span_ends_when_the_code_is_read_or_covers_the_same_travel_later():
+    late = picture.span_us(sample_results.reading(t_first_us=0, t_read_us=9000))
+    early = picture.span_us(sample_results.reading(t_first_us=8900, t_read_us=9000))
+    assert late[1] == 9000
+    assert early[0] == 8900
+    # Three modules of 4 px at 4031 px/s.
+    assert late[1] - late[0] == early[1] - early[0] == round(3 * 4 / 4031.13 * 1e6)
+
+
 def panels(figure):
     return {axes.get_title(loc="left"): axes for axes in figure.axes}
 
@@ -120,7 +129,7 @@ def test_events_panel_shows_the_last_event_of_each_pixel():
     (image,) = panel(picture.draw_reading(events, sample_results.READING), "events of").images
     values = np.asarray(image.get_array())
     assert values[5, 7] == -1
-    assert np.count_nonzero(values) == 1  # what came at or after t_read_us is not shown
+    assert np.count_nonzero(values) == 1  # what came after the span is not shown
 
 
 @pytest.mark.parametrize("ending", ["png", "svg", "pdf"])
