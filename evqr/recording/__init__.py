@@ -101,7 +101,7 @@ def _recognise(path: str, head: bytes) -> Callable[[str], Source]:
     elif head.startswith(b"\x93NUMPY"):
         from .numpy_files import NpySource as reader
     elif head.startswith(b"#!AER-DAT4.0\r\n"):
-        from .aedat4 import Aedat4Source as reader
+        from .aedat4 import open_aedat4 as reader
     elif head.startswith(b"#ROSBAG V2.0\n"):
         from .rosbag import BagSource as reader
     elif _is_prophesee(head):

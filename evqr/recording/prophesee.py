@@ -12,11 +12,11 @@ from collections.abc import Iterator
 from pathlib import Path
 
 from ..errors import RecordingError
-from .extras import EventcvFile, required, slice_columns
-from .source import DeclaredUnit, RawColumns, Source, explained
+from .eventcv_source import IN_US, EventcvFile, EventcvSource, slice_columns
+from .extras import required
+from .source import RawColumns, Source, explained
 
 MAX_HEADER_BYTES = 1 << 16
-IN_US = DeclaredUnit("us", "the format is in us")
 
 EVT3_WORD_BYTES = 2
 EVT2_WORD_BYTES = 4
@@ -85,12 +85,12 @@ def open_prophesee(path: str) -> Source:
     """Open RAW or DAT, whichever the header says it is."""
     with explained(path, "Prophesee header"):
         header = PropheseeHeader(path)
-    sources = {"EVT3": Evt3Source, "EVT2": Evt2Source, "DAT": DatSource}
-    if header.encoding not in sources:
+    openers = {"EVT3": Evt3Source, "EVT2": open_evt2, "DAT": DatSource}
+    if header.encoding not in openers:
         raise RecordingError(
             f"{path}: Prophesee encoding {header.encoding} is not supported; convert the recording to EVT3"
         )
-    return sources[header.encoding](path, header)
+    return openers[header.encoding](path, header)
 
 
 def _words(path: str, start: int, word_bytes: int) -> int:
@@ -123,30 +123,15 @@ class Evt3Source(Source):
                 yield RawColumns(events.timestamp, events.x, events.y, events.polarity)
 
 
-class Evt2Source(Source):
-    """EVT2, mapped into memory by eventcv and decoded a slice at a time."""
-
-    def __init__(self, path: str, header: PropheseeHeader) -> None:
-        _words(path, header.size, EVT2_WORD_BYTES)
-        self._file = EventcvFile(path, ".raw", "Prophesee EVT2", EVT2_ADDRESSES)
-        with explained(path, "EVT2 data"):
-            n_events = self._file.open(1).n_events
-        super().__init__(path, "Prophesee EVT2", sensor=header.sensor, n_events=n_events, unit=IN_US)
-
-    def raw_chunks(self, chunk_events: int) -> Iterator[RawColumns]:
-        """Decode slices."""
-        left = self.n_events or 0
-        with explained(self.name, "EVT2 data"):
-            reader = self._file.open(chunk_events)
-        for i in range(reader.n_slices):
-            with explained(self.name, "EVT2 data"):
-                raw = slice_columns(reader, i, min(chunk_events, left), self.name)
-            left -= len(raw.t)
-            yield raw
-
-    def close(self) -> None:
-        """Remove the link that eventcv was given."""
-        self._file.close()
+def open_evt2(path: str, header: PropheseeHeader) -> Source:
+    """Open EVT2: mapped into memory by eventcv, decoded a slice at a time."""
+    _words(path, header.size, EVT2_WORD_BYTES)
+    file = EventcvFile(path, ".raw", "Prophesee EVT2", EVT2_ADDRESSES)
+    try:
+        return EventcvSource(file, path, "Prophesee EVT2", header.sensor)
+    except BaseException:
+        file.close()
+        raise
 
 
 class DatSource(Source):
@@ -170,6 +155,6 @@ class DatSource(Source):
             while records := file.read(chunk_events * DAT_RECORD_BYTES):
                 piece.write_bytes(head + records)
                 with explained(self.name, "DAT data"):
-                    reader = EventcvFile(str(piece), ".dat", self.format, DAT_ADDRESSES).open(chunk_events)
+                    reader = EventcvFile(str(piece), ".dat", self.format, DAT_ADDRESSES).reader(chunk_events)
                     raw = slice_columns(reader, 0, len(records) // DAT_RECORD_BYTES, self.name)
                 yield raw

@@ -49,8 +49,9 @@ class Recording:
         self.t_last_us: int | None = None
         self.warnings = list(source.warnings)
 
-        first = next(source.raw_chunks(min(chunk_events, SAMPLE_EVENTS)), None)
-        if first is None or len(first.t) == 0:
+        # The first chunk of a vendor file may hold nothing but trigger words.
+        first = next((raw for raw in source.raw_chunks(SAMPLE_EVENTS) if len(raw.t)), None)
+        if first is None:
             raise RecordingError(f"{source.name}: the recording is empty: {source.format} with 0 events")
         self.width, self.height = check_sensor(sensor or source.sensor, source.name)
         if sensor is not None and source.sensor not in (None, sensor):
