@@ -67,8 +67,8 @@ class FinderConfig:
     cells_a_module: float = 1.25
     half: int = 6
     min_response: float = 0.3
-    max_peaks: int = 40
-    max_hypotheses: int = 12
+    max_peaks: int = 64
+    max_hypotheses: int = 48
     leg_tolerance: float = 0.2
     scale_tolerance: float = 0.16
     angle_tolerance: float = 0.24
@@ -89,6 +89,7 @@ class StageOneConfig:
     max_iterations     at each level
     tolerance          step at which a level has converged [modules]
     damping            Levenberg-Marquardt, relative to the diagonal
+    closer_looks       candidates of the coarse look that are refined
     shift_gain         score that a one-module shift must gain to be taken
     min_score          correlation with the known modules below which there is no code, 0 to 1
     """
@@ -102,6 +103,7 @@ class StageOneConfig:
     max_iterations: int = 8
     tolerance: float = 0.01
     damping: float = 1e-3
+    closer_looks: int = 3
     shift_gain: float = 0.02
     min_score: float = 0.5
 

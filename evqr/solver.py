@@ -19,6 +19,7 @@ from evqr.codespace import size_of
 from evqr.config import ReadConfig
 from evqr.initial.finder import find_hypotheses, find_peaks
 from evqr.initial.motion import Motion, estimate_motion, find_motion, window_length_us
+from evqr.initial.pose import screen
 from evqr.lag import estimate_lag
 from evqr.region import Region, events_near, region_around, splat_region
 from evqr.stage_one import Alignment, align, fine_levels, refine_from_cold
@@ -156,14 +157,15 @@ class Solver:
         if motion.speed <= 0.0:
             return "nothing moves"
         with clock("finder"):
-            peaks = find_peaks(window, velocity, cfg.finder, workspace=workspace)
+            peaks, pyramid = find_peaks(window, velocity, cfg.finder, workspace=workspace)
             hypotheses = find_hypotheses(peaks, cfg.finder)
         if not hypotheses:
             return f"no three finder patterns that fit together among {len(peaks.response)} candidates"
         best: tuple[int, Region, Window, Alignment] | None = None
-        iterations = 0
+        with clock("pose"):
+            candidates, iterations = screen(hypotheses, pyramid, cfg.stage_one, workspace=workspace)
         with clock("stage_one"):
-            for guess in hypotheses:
+            for guess in candidates[: cfg.stage_one.closer_looks]:
                 region = region_around(
                     guess.pose, size_of(guess.version), cfg.stage_one, margin_px=SEARCH_MARGIN_PX
                 )

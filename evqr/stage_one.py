@@ -201,12 +201,12 @@ def shifted(pose: NDArray[np.float64]) -> NDArray[np.float64]:
 def refine_from_cold(
     image: Any, pose: NDArray[np.float64], version: int, cfg: StageOneConfig, *, workspace: Workspace
 ) -> Alignment:
-    """Refine one pose (3, 3) from the search: all levels, then the neighbours one module away.
+    """Refine one pose (3, 3) from the coarse look: the last levels, then the neighbours one module away.
 
     The cost has a side minimum one module off, where finder patterns half agree.  Its neighbours are looked at, not refined: from
     a side minimum the true pose is exactly one module away.
     """
-    levels = coarse_levels(cfg) + fine_levels(cfg)
+    levels = (*coarse_levels(cfg)[-1:], *fine_levels(cfg))
     found = align(image, pose[None], version, levels, cfg, workspace=workspace)
     around = shifted(found.pose[0])
     score = score_poses(image, around, version, levels[-1], workspace=workspace)

@@ -10,6 +10,7 @@ from __future__ import annotations
 import functools
 import math
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -46,6 +47,26 @@ class Peaks:
     position: NDArray[np.float64]
     module_px: NDArray[np.float64]
     angle: NDArray[np.float64]
+
+
+@dataclass(frozen=True, eq=False)
+class PyramidLevel:
+    """The motion-compensated events on cells of one size.
+
+    Attributes
+    ----------
+    cell                        size of a cell [px]
+    image : (1, Y, X) float32   on the device, until the next search
+    """
+
+    cell: float
+    image: Any
+
+    @property
+    def from_px(self) -> NDArray[np.float64]:
+        """(3, 3) map of px to cells, integers at cell centres."""
+        s, shift = 1.0 / self.cell, 0.5 / self.cell - 0.5
+        return np.array([[s, 0.0, shift], [0.0, s, shift], [0.0, 0.0, 1.0]])
 
 
 @dataclass(frozen=True, eq=False)
@@ -112,13 +133,18 @@ def find_peaks(
     *,
     workspace: Workspace,
     lag_px: tuple[float, float] = (0.0, 0.0),
-) -> Peaks:
+) -> tuple[Peaks, list[PyramidLevel]]:
     """Find what looks like a finder pattern in a window.
 
     Parameters
     ----------
     velocity : (2,) [px/s]
     lag_px          lag of the pixels for ON and OFF events along the motion [px]
+
+    Returns
+    -------
+    peaks     best first
+    pyramid   the images that were searched, finest first
     """
     backend, device = workspace.backend, workspace.device
     speed = float(np.hypot(*velocity))
@@ -127,8 +153,8 @@ def find_peaks(
     pad = cfg.half
     sizes = _module_sizes(cfg)
     found: list[NDArray[np.float64]] = []
+    pyramid: list[PyramidLevel] = []
     fine = None
-    floor = 0.0
     for level, module_px in enumerate(sizes):
         cell = module_px / cfg.cells_a_module
         height, width = math.ceil(window.height / cell), math.ceil(window.width / cell)
@@ -158,6 +184,7 @@ def find_peaks(
         if fine is None:
             np.clip(cells, -CLIP_RMS * rms, CLIP_RMS * rms, out=cells)
         fine = image
+        pyramid.append(PyramidLevel(cell, image))
         floor = FLOOR * rms * rms * float(disc.sum())
         wide = _four(width)
         padded = workspace.buffer("finder padded", (1, height + 2 * pad, wide + 2 * pad))
@@ -171,7 +198,7 @@ def find_peaks(
         )
         backend.synchronize(device)
         found.append(_local_peaks(workspace.get(response)[0], workspace.get(angle)[0], module_px, cell, cfg))
-    return _merge(np.concatenate(found), cfg)
+    return _merge(np.concatenate(found), cfg), pyramid
 
 
 def _local_peaks(
