@@ -37,8 +37,8 @@ def open_aedat4(path: str) -> Source:
 class _FileWithoutTable(EventcvFile):
     """A copy without the table of packets at the end.
 
-    Some versions of DV wrote tables that count no events, and eventcv believes them.  Without a table it counts
-    the events itself.
+    Some versions of DV wrote tables that count no events, and eventcv believes them.  Without a table it
+    counts the events itself.
     """
 
     def __init__(self, path: str) -> None:

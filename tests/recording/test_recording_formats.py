@@ -5,7 +5,7 @@ import zipfile
 import h5py
 import numpy as np
 import pytest
-from conftest import HEIGHT, WIDTH, WRITERS, assert_same_events, make_events, structured
+from recording_files import HEIGHT, WIDTH, WRITERS, assert_same_events, make_events, structured
 
 from evqr.recording import open_recording, save_recording
 from evqr.types import EventArray
@@ -144,7 +144,13 @@ def test_arrays(events):
 
 @pytest.mark.parametrize(
     "line",
-    ["{t} {x} {y} {p}", "{t},{x},{y},{p}", "{t}\t{x}\t{y}\t{p}", "{t:d}  {x}.0 {y} {p}.0", "{s:.6f}, {x}, {y}, {p}"],
+    [
+        "{t} {x} {y} {p}",
+        "{t},{x},{y},{p}",
+        "{t}\t{x}\t{y}\t{p}",
+        "{t:d}  {x}.0 {y} {p}.0",
+        "{s:.6f}, {x}, {y}, {p}",
+    ],
 )
 @pytest.mark.parametrize("top", ["", f"{WIDTH} {HEIGHT}\n", f"# made by hand\n\n{WIDTH} {HEIGHT}\n% more\n"])
 def test_text(tmp_path, events, top, line):

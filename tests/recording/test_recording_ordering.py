@@ -2,9 +2,9 @@
 
 import numpy as np
 import pytest
-from conftest import make_events
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from recording_files import make_events
 
 from evqr.errors import RecordingError
 from evqr.recording import open_recording
@@ -74,5 +74,7 @@ def test_a_jump_back_is_refused(chunk_events):
     t[60] -= MAX_DISORDER_US + 11
     columns = t, events.x, events.y, events.p
     with open_recording(columns, sensor=(64, 48), time_unit="us", chunk_events=chunk_events) as recording:
-        with pytest.raises(RecordingError, match=r"jump back by 50,0\d\d us to \d+ us at event 60; up to 50,000 us"):
+        with pytest.raises(
+            RecordingError, match=r"jump back by 50,0\d\d us to \d+ us at event 60; up to 50,000 us"
+        ):
             recording.read()

@@ -1,0 +1,69 @@
+"""The unit of the time stamps is known, decided with a reason, or asked for; never guessed."""
+
+import numpy as np
+import pytest
+
+from evqr.errors import RecordingError
+from evqr.recording.time_unit import decide_time_unit
+
+SENSOR = (640, 480)
+COUNT = 50_000
+
+
+def stamps(
+    rate_per_pixel: float, per_second: float, *, decimals: int | None, start_s: float = 3.0
+) -> np.ndarray:
+    """Sorted random stamps at so many events a pixel and second, in units of ``1 / per_second`` s."""
+    seconds = COUNT / (rate_per_pixel * SENSOR[0] * SENSOR[1])
+    s = start_s + np.sort(np.random.default_rng(0).uniform(0, seconds, COUNT))
+    t = s * per_second
+    return t if decimals is None else np.round(t, decimals)
+
+
+def whole(t: np.ndarray) -> np.ndarray:
+    return t.astype(np.int64)
+
+
+@pytest.mark.parametrize(
+    ("t", "unit", "reason"),
+    [
+        (whole(stamps(100, 1e6, decimals=0)), "us", "whole numbers; 100 events"),
+        (whole(stamps(0.01, 1e6, decimals=0)), "us", "whole numbers; 0.01 events"),
+        (stamps(100, 1e6, decimals=0), "us", "whole numbers"),
+        (stamps(100, 1e6, decimals=0, start_s=1.7e9), "us", "whole numbers"),
+        (stamps(100, 1, decimals=6), "s", "finer than a thousandth"),
+        (stamps(100, 1, decimals=6, start_s=1.7e9), "s", "finer than a thousandth"),
+        (stamps(100, 1, decimals=9), "s", "finer than a thousandth"),
+        (stamps(0.5, 1e3, decimals=3), "ms", "at most three decimals"),
+        (whole(stamps(100, 1e9, decimals=0, start_s=1.7e9)), "ns", "whole numbers, but us impossible"),
+        (whole(stamps(0.5, 1e6, decimals=0)) * 1000, "ns", "whole multiples of 1000"),
+    ],
+)
+def test_decided(t, unit, reason):
+    decided = decide_time_unit(t, SENSOR, "name")
+    assert decided.unit == unit
+    assert reason in decided.reason
+
+
+@pytest.mark.parametrize(
+    "t",
+    [
+        pytest.param(whole(stamps(1, 1e6, decimals=0)) // 1000 * 1000, id="us of a 1 kHz simulation, or ns"),
+        pytest.param(whole(stamps(1e-5, 1e6, decimals=0)), id="nearly silent in us"),
+        pytest.param(stamps(100, 1e6, decimals=None), id="fractions of us"),
+        pytest.param(whole(stamps(100, 1e3, decimals=0)), id="whole ms, or s"),
+        pytest.param(
+            stamps(100, 1e3, decimals=3), id="ms of a microsecond clock, or s of a millisecond clock"
+        ),
+        pytest.param(np.full(COUNT, 1e30), id="beyond all units"),
+    ],
+)
+def test_undecidable(t):
+    with pytest.raises(
+        RecordingError, match=r"^name: unit .* undecidable: .*; pass --time-unit us\|ms\|s\|ns$"
+    ):
+        decide_time_unit(t, SENSOR, "name")
+
+
+def test_float32_seconds_are_seconds():
+    assert decide_time_unit(stamps(100, 1, decimals=6).astype(np.float32), SENSOR, "name").unit == "s"
