@@ -19,8 +19,8 @@ class EventcvFile:
     """A file as eventcv wants it.
 
     eventcv goes by the suffix where we go by the content, so the file may need a link with the right suffix.
-    And it drops events outside the sensor it is told, so it is told all addresses that the format can hold, and
-    it is `columns.ColumnChecker` that meets the events outside the sensor.
+    And it drops events outside the sensor it is told, so it is told all addresses that the format can hold,
+    and it is `columns.ColumnChecker` that meets the events outside the sensor.
     """
 
     def __init__(self, path: str, suffix: str, what: str, addresses: tuple[int, int]) -> None:

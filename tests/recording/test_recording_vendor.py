@@ -23,8 +23,8 @@ def kind(request):
 
 @pytest.mark.parametrize("chunk_events", [1000, 1 << 20])
 def test_same_events(tmp_path, kind, chunk_events):
-    # Over a minute, so that EVT3's clock of 24 bits wraps; not sparser, because its decoders tell a wrap from the
-    # high time bits that a camera sends all the time, and eventcv writes none without events.
+    # Over a minute, so that EVT3's clock of 24 bits wraps; not sparser, because its decoders tell a wrap from
+    # the high time bits that a camera sends all the time, and eventcv writes none without events.
     events = make_events(40_000, span_us=70_000_000)
     write(kind, tmp_path / "a.h5", events)
     with open_recording(tmp_path / "a.h5", chunk_events=chunk_events) as recording:
@@ -126,7 +126,7 @@ def test_aedat4_with_a_table_that_counts_no_events(tmp_path, events):
     whole = path.read_bytes()
     position = _table_position(whole, len(whole))
     assert position < len(whole)
-    # A FlatBuffer: its size, offset of the root, a vtable without fields, the root with the way back to the vtable.
+    # A FlatBuffer: its size, offset of the root, a vtable without fields, the root with the way to the vtable.
     empty_table = struct.pack("<IIHHi", 12, 8, 4, 4, 4)
     path.write_bytes(whole[:position] + lz4_frame.compress(empty_table))
     with open_recording(path) as recording:
