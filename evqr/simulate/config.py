@@ -172,7 +172,7 @@ class SensorConfig:
 #: ``clean``  an ideal sensor: equal thresholds of 0.2, no lag, no noise, unlimited readout
 #: ``slow``   a good sensor in good light, for slow scenes
 #: ``fast``   a bright scene at speed: pixels lag, events are noisy and some are lost
-#: ``hard``   as fast, in less light: strong lag, heavy noise, half of the events lost, a saturated readout
+#: ``hard``   as fast, in less light: strong lag, heavy noise, nearly half of the events lost, a slow readout
 #:
 #: Thresholds of 0.2 with a spread of 0.03 and a bandwidth that follows the light are v2e's (Hu, Liu,
 #: Delbruck, "v2e: From Video Frames to Realistic DVS Events", CVPR workshops 2021); 300 million events a

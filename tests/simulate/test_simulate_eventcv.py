@@ -1,6 +1,6 @@
 """The same scene through eventcv's frame-based sensor (v2e's pixel model): the statistics agree.
 
-Refractory times are left out: v2e's pixels remember what changed meanwhile, ours are held in reset and forget.
+Refractory times are left out: v2e's pixels remember what changed meanwhile, ours, held in reset, forget it.
 """
 
 import dataclasses
