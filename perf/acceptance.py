@@ -1,12 +1,12 @@
 #!/usr/bin/env python3
 """Read simulated recordings of every kind, with codes and without; exit 1 when the read rate falls short.
 
-usage: acceptance.py [--scenes 200] [--no-code 500] [--jobs 2] [--seed 0] [--only NAME] [--log FILE] [--preset NAME]
+usage: acceptance.py [--scenes 200] [--no-code 500] [--jobs 2] [--seed 0] [--only NAME] [--log FILE]
 
-Scenes are named code-0, code-1, ... (a code passes), decoy-0, decoy-2, ... (things that look a little like a
-code) and shuffled-1, shuffled-3, ... (a code's events with the pixels shuffled).  A scene follows from the seed
-and its name alone, whatever the numbers of scenes are: --only NAME runs one again.  With --log each outcome is
-appended to a file of JSON lines, and scenes that it holds already are not run again.
+Scenes are named code-0, code-1, ... (a code passes), decoy-0, decoy-2, ... (things that look a little like
+one) and shuffled-1, shuffled-3, ... (a code's events with the pixels shuffled).  A scene follows from the
+seed and its name alone, whatever the numbers of scenes are: --only NAME runs one again.  With --log each
+outcome is appended to a file of JSON lines, and scenes that it holds already are not run again.
 
 Required: at least 99 % of the codes read, and nothing read that is not there.
 """
@@ -177,7 +177,8 @@ def _describe(outcome: dict) -> str:
     return (
         f"{outcome['verdict'].upper():6s} {outcome['name']:12s}{wrong} {outcome['preset']}, "
         f"{outcome['version']}-{outcome['ec']}, angle {outcome['angle']}, direction {outcome['direction']}, "
-        f"{outcome['speed_px_ms']} px/ms, {outcome['module_px']} px a module, {len(outcome['text'])} characters, "
+        f"{outcome['speed_px_ms']} px/ms, {outcome['module_px']} px a module, "
+        f"{len(outcome['text'])} characters, "
         f"{outcome['events']} events, {outcome['seconds']} s: {outcome['reason']}"
     )
 
@@ -224,7 +225,8 @@ def report(outcomes: list[dict]) -> int:
         print(f"  {preset:6s} {sum(o['verdict'] == 'read' for o in of_preset)} of {len(of_preset)} read")
     rate = len(read) / len(with_code) if with_code else 1.0
     print(
-        f"read {len(read)} of {len(with_code)} scenes with a code ({rate:.2%}, {MIN_READ_RATE:.0%} required); "
+        f"read {len(read)} of {len(with_code)} scenes with a code "
+        f"({rate:.2%}, {MIN_READ_RATE:.0%} required)\n"
         f"{len(false)} false texts in {len(outcomes)} scenes, "
         f"{len(outcomes) - len(with_code)} of them without a code (none allowed)"
     )
