@@ -151,7 +151,10 @@ def _backend_options(command: Callable[..., Any]) -> Callable[..., Any]:
     """Add the options that say where to compute."""
     for option in (
         click.option(
-            "--threads", type=click.IntRange(min=1), metavar="N", help="CPU threads; default: one a core."
+            "--threads",
+            type=click.IntRange(min=1),
+            metavar="N",
+            help="Windows worked on at a time, a CPU thread each; default 1.",
         ),
         click.option(
             "--device", default="cpu", show_default=True, help='Where to compute: "cpu", "cuda:0", ...'
@@ -236,8 +239,6 @@ def read(
     told = {"sensor": sensor, "time_unit": time_unit}
     if len(recordings) != 1:
         _prepare(backend, device)
-        if threads is None and jobs > 1:
-            threads = max(1, (os.cpu_count() or 1) // jobs)
         return _read_many(recordings, jobs, as_json, threads=threads, **told, **compute)
 
     from evqr.recording import open_recording
@@ -388,11 +389,12 @@ def _progress_bar(name: str) -> Iterator[Callable[[int, int | None], None] | Non
         return
     from tqdm import tqdm
 
-    with tqdm(desc=name, unit="s", unit_scale=1e-6, leave=False) as bar:
+    layout = "{l_bar}{bar}| {n_fmt}/{total_fmt} ms of events [{elapsed}]"
+    with tqdm(desc=name, bar_format=layout, leave=False) as bar:
 
         def advance(done_us: int, total_us: int | None) -> None:
-            bar.total = total_us
-            bar.update(done_us - bar.n)
+            bar.total = None if total_us is None else total_us // 1000
+            bar.update(done_us // 1000 - bar.n)
 
         yield advance
 
