@@ -2,8 +2,8 @@
 
     python perf/recording_memory.py [--format h5|npz|text|dat|evt3] [--gigabytes 1]
 
-Writes a recording of random events at 100 million events a second (what a fast code makes at close range), streams it
-once and prints events, seconds and the peak resident memory of the reading process.
+Writes a recording of random events at 100 million events a second (what a fast code makes at close range),
+streams it once and prints events, seconds and the peak resident memory of the reading process.
 """
 
 from __future__ import annotations

@@ -14,18 +14,26 @@ from typing import Any
 
 from numpy.typing import NDArray
 
-from ..errors import RecordingError
+from ..errors import RecordingError, UsageError
 from ..types import EventArray
 from .arrays import open_arrays
 from .source import Source, TimeUnit
 from .stream import Recording
 from .summary import RecordingInfo, summarise
+from .time_unit import PER_SECOND
 from .writing import save_recording
 
 __all__ = ["Recording", "RecordingInfo", "open_recording", "save_recording", "summarise"]
 
 DEFAULT_CHUNK_EVENTS = 1 << 20
 HEAD_BYTES = 4096
+
+UNSUPPORTED = {
+    b"#!AER-DAT": "AEDAT before version 4 is not read (its readers disagree on orientation); convert it",
+    b"\x89MCAP0\r\n": "ROS 2 bags are not read; convert it to a ROS 1 bag",
+    b"SQLite format 3\0": "ROS 2 bags are not read; convert it to a ROS 1 bag",
+    b"\x1f\x8b": "the file is compressed with gzip; unpack it first",
+}
 
 
 def open_recording(
@@ -52,8 +60,11 @@ def open_recording(
     ------
     RecordingError   missing, empty, truncated, no event file, or inconsistent; one line that says what to do
     MissingExtra     the format needs ``pip install "evqr[formats]"``
+    UsageError       an unknown unit
     TypeError        a source of another type
     """
+    if time_unit is not None and time_unit not in PER_SECOND:
+        raise UsageError(f"time unit {time_unit!r} is unknown; pass one of {', '.join(PER_SECOND)}")
     if chunk_events < 1:
         raise ValueError(f"chunk_events must be at least 1, got {chunk_events}")
     if isinstance(source, (str, os.PathLike)):
@@ -104,10 +115,12 @@ def _recognise(path: str, head: bytes) -> Callable[[str], Source]:
         from .aedat4 import open_aedat4 as reader
     elif head.startswith(b"#ROSBAG V2.0\n"):
         from .rosbag import BagSource as reader
-    elif _is_prophesee(head):
-        from .prophesee import open_prophesee as reader
+    elif advice := next((told for magic, told in UNSUPPORTED.items() if head.startswith(magic)), None):
+        raise RecordingError(f"{path}: {advice}")
     elif _is_text(head):
         from .text import TextSource as reader
+    elif _is_prophesee(head):
+        from .prophesee import open_prophesee as reader
     else:
         raise RecordingError(
             f"{path}: not an event recording (starts with {head[:16]!r}); known are HDF5, npz, npy, text,"
@@ -116,14 +129,14 @@ def _recognise(path: str, head: bytes) -> Callable[[str], Source]:
     return reader
 
 
-def _is_prophesee(head: bytes) -> bool:
-    """Whether there are header lines such as ``% evt 3.0``, not just a text file's comments."""
-    first_lines = [line for line in head.lower().split(b"\n") if line.startswith(b"%")]
-    words = (b"evt", b"format", b"geometry", b"version", b"width", b"height")
-    return head.startswith(b"%") and any(line[1:].strip().startswith(words) for line in first_lines)
-
-
 def _is_text(head: bytes) -> bool:
     """Whether it is printable, and its lines no longer than lines are."""
-    printable = all(byte >= 0x20 or byte in b"\t\r\n" for byte in head.removeprefix(b"\xef\xbb\xbf"))
-    return printable and (b"\n" in head or len(head) < HEAD_BYTES) and not head.startswith(b"#!AER-DAT")
+    printable = all(byte >= 0x20 or byte in b"\t\r\n" for byte in head)
+    return printable and (b"\n" in head or len(head) < HEAD_BYTES)
+
+
+def _is_prophesee(head: bytes) -> bool:
+    """Whether there are header lines such as ``% evt 3.0`` before the data."""
+    lines = [line[1:].strip().lower() for line in head.split(b"\n") if line.startswith(b"%")]
+    keys = (b"evt", b"format", b"geometry", b"version", b"width", b"height")
+    return head.startswith(b"%") and any(line.startswith(keys) for line in lines)

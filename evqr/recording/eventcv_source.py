@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+import shutil
 import tempfile
 from collections.abc import Iterator
 from pathlib import Path
@@ -31,7 +32,10 @@ class EventcvFile:
         if Path(path).suffix != suffix:
             self._folder = tempfile.TemporaryDirectory(prefix="evqr-")
             self.path = os.path.join(self._folder.name, f"recording{suffix}")
-            os.symlink(os.path.abspath(path), self.path)
+            try:
+                os.symlink(os.path.abspath(path), self.path)
+            except OSError:  # Windows lets only some users link
+                shutil.copyfile(path, self.path)
 
     def reader(self, chunk_events: int) -> Any:
         """Return an ``eventcv.EventReader`` with slices of so many events."""

@@ -12,7 +12,7 @@ from ..types import EventArray
 from .columns import ColumnChecker, check_sensor, check_times
 from .ordering import Disorder, in_order
 from .source import DeclaredUnit, RawColumns, Source, TimeUnit
-from .time_unit import decide_time_unit
+from .time_unit import PER_SECOND, decide_time_unit
 
 SAMPLE_EVENTS = 1 << 16  # the unit of time is judged by so many first events
 
@@ -62,6 +62,12 @@ class Recording:
         unit = self._unit(first, time_unit)
         self.time_unit: TimeUnit = unit.unit
         self.time_unit_reason = unit.reason
+        if first.t.dtype == np.float32:
+            step_us = float(np.spacing(first.t.max())) * 1e6 / PER_SECOND[self.time_unit]
+            if step_us > 1:
+                self.warnings.append(
+                    f"times are stored as float32, which tells no less than {step_us:.2g} us apart"
+                )
 
     def _unit(self, first: RawColumns, asked: TimeUnit | None) -> DeclaredUnit:
         declared = self._source.unit

@@ -9,7 +9,7 @@ import pytest
 from recording_files import HEIGHT, WIDTH, WRITERS, make_events, write_h5, write_npz
 
 import evqr.recording
-from evqr.errors import MissingExtra, RecordingError
+from evqr.errors import MissingExtra, RecordingError, UsageError
 from evqr.recording import open_recording
 
 SENSOR = (WIDTH, HEIGHT)
@@ -66,12 +66,27 @@ def test_unreadable(tmp_path, events, monkeypatch):
         b"\x89PNG\r\n\x1a\n" + bytes(100),
         b"%PDF-1.7\n\x00\xff",
         b"\x7fELF" + bytes(60),
-        b"\x89MCAP0\r\n" + bytes(9),
+        b"\x00" * 5000,
+        b"a" * 5000,
     ],
 )
 def test_not_an_event_file(tmp_path, content):
     (tmp_path / "a.h5").write_bytes(content)
     assert "not an event recording" in error_of(tmp_path / "a.h5")
+
+
+@pytest.mark.parametrize(
+    ("content", "advice"),
+    [
+        (b"#!AER-DAT2.0\r\n# comment\r\n", "AEDAT before version 4 is not read"),
+        (b"#!AER-DAT3.1\r\n" + bytes(100), "AEDAT before version 4 is not read"),
+        (b"\x89MCAP0\r\n" + bytes(9), "convert it to a ROS 1 bag"),
+        (b"\x1f\x8b\x08" + bytes(9), "unpack it first"),
+    ],
+)
+def test_event_files_that_evqr_does_not_read(tmp_path, content, advice):
+    (tmp_path / "a").write_bytes(content)
+    assert advice in error_of(tmp_path / "a")
 
 
 def test_text_that_is_no_recording(tmp_path):
@@ -264,7 +279,9 @@ def test_the_sensor_asked_for_wins_and_the_difference_is_told(tmp_path, events):
         assert recording.warnings == ["the file says the sensor is 64x48; 640x480 was asked for"]
 
 
-def test_misuse_is_no_recording_error(tmp_path, events):
+def test_misuse_is_no_recording_error(events):
+    with pytest.raises(UsageError, match="time unit 'minutes' is unknown; pass one of s, ms, us, ns"):
+        open_recording(events, time_unit="minutes")
     with pytest.raises(TypeError, match="got list"):
         open_recording([1, 2, 3])
     with pytest.raises(ValueError, match="at least 1, got 0"):

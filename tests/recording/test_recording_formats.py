@@ -1,5 +1,7 @@
 """Every layout of the formats that need no extra gives exactly the events that were written."""
 
+import subprocess
+import sys
 import zipfile
 
 import h5py
@@ -191,3 +193,16 @@ def test_npz_members_may_be_stored_plainly(tmp_path):
     assert zipfile.ZipFile(tmp_path / "a.npz").infolist()[0].compress_type == zipfile.ZIP_STORED
     with open_recording(tmp_path / "a.npz", sensor=SENSOR, chunk_events=999) as recording:
         assert_same_events(recording.read(), events)
+
+
+def test_coarse_float32_times_are_told():
+    t = np.linspace(100, 101, 5000, dtype=np.float32)
+    columns = t, np.arange(5000) % 64, np.arange(5000) % 48, np.ones(5000)
+    with open_recording(columns, sensor=SENSOR, time_unit="s") as recording:
+        assert recording.warnings == ["times are stored as float32, which tells no less than 7.6 us apart"]
+
+
+def test_importing_loads_no_reader():
+    code = "import sys, evqr.recording; print(*sorted({'h5py', 'eventcv', 'hdf5plugin'} & set(sys.modules)))"
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
+    assert done.stdout.strip() == ""

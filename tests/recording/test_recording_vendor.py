@@ -126,7 +126,7 @@ def test_aedat4_with_a_table_that_counts_no_events(tmp_path, events):
     whole = path.read_bytes()
     position = _table_position(whole, len(whole))
     assert position < len(whole)
-    # A FlatBuffer: its size, offset of the root, a vtable without fields, the root with the way to the vtable.
+    # A FlatBuffer: its size, offset of the root, a vtable without fields, the root with its way to that.
     empty_table = struct.pack("<IIHHi", 12, 8, 4, 4, 4)
     path.write_bytes(whole[:position] + lz4_frame.compress(empty_table))
     with open_recording(path) as recording:
