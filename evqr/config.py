@@ -36,8 +36,8 @@ class MotionConfig:
     probe_us: int = 1000
     travel_px: float = 3.0
     longest_us: int = 50_000
-    reduction: int = 2
-    reach_px: int = 4
+    reduction: int = 4
+    reach_px: int = 3
     clip: float = 2.0
     blur_px: float = 2.0
     min_peak: float = 0.02
@@ -69,6 +69,7 @@ class FinderConfig:
     min_response: float = 0.3
     max_peaks: int = 64
     max_hypotheses: int = 48
+    first_hypotheses: int = 6
     leg_tolerance: float = 0.2
     scale_tolerance: float = 0.16
     angle_tolerance: float = 0.24

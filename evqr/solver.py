@@ -19,7 +19,7 @@ from evqr.codespace import size_of
 from evqr.config import ReadConfig
 from evqr.initial.finder import find_hypotheses, find_peaks
 from evqr.initial.motion import Motion, estimate_motion, find_motion, window_length_us
-from evqr.initial.pose import screen
+from evqr.initial.pose import Candidate, screen
 from evqr.lag import estimate_lag
 from evqr.region import Region, events_near, region_around, splat_region
 from evqr.stage_one import Alignment, align, fine_levels, refine_from_cold
@@ -102,6 +102,20 @@ class Sighting:
         return ahead @ self.pose
 
 
+@dataclass(frozen=True, eq=False)
+class _Closer:
+    """A candidate, refined: its region, the events near it, and the alignment."""
+
+    version: int
+    region: Region
+    events: Window
+    found: Alignment
+
+    @property
+    def score(self) -> float:
+        return float(self.found.score[0])
+
+
 class Solver:
     """Runs the stages on windows of events.
 
@@ -161,35 +175,46 @@ class Solver:
             hypotheses = find_hypotheses(peaks, cfg.finder)
         if not hypotheses:
             return f"no three finder patterns that fit together among {len(peaks.response)} candidates"
-        best: tuple[int, Region, Window, Alignment] | None = None
-        with clock("pose"):
-            candidates, iterations = screen(hypotheses, pyramid, cfg.stage_one, workspace=workspace)
-        with clock("stage_one"):
-            for guess in candidates[: cfg.stage_one.closer_looks]:
-                region = region_around(
-                    guess.pose, size_of(guess.version), cfg.stage_one, margin_px=SEARCH_MARGIN_PX
-                )
-                near = events_near(window, velocity, region)
-                image = splat_region(near, velocity, region, cfg.stage_one, workspace=workspace)
-                found = refine_from_cold(
-                    image, region.from_px @ guess.pose, guess.version, cfg.stage_one, workspace=workspace
-                )
-                iterations += found.iterations
-                if best is None or found.score[0] > best[3].score[0]:
-                    best = (guess.version, region, near, found)
-                if found.score[0] >= GOOD_SCORE:
-                    break
+        best: _Closer | None = None
+        iterations = 0
+        for batch in (hypotheses[: cfg.finder.first_hypotheses], hypotheses[cfg.finder.first_hypotheses :]):
+            with clock("pose"):
+                candidates, steps = screen(batch, pyramid, cfg.stage_one, workspace=workspace)
+            iterations += steps
+            with clock("stage_one"):
+                for candidate in candidates[: cfg.stage_one.closer_looks]:
+                    closer = self._look_closer(window, velocity, candidate)
+                    iterations += closer.found.iterations
+                    if best is None or closer.score > best.score:
+                        best = closer
+                    if best.score >= GOOD_SCORE:
+                        break
+            if best is not None and best.score >= GOOD_SCORE:
+                break
         assert best is not None
-        version, region, near, found = best
-        if found.score[0] < cfg.stage_one.min_score:
-            return f"the best of {len(hypotheses)} candidates agrees too little with a code: {found.score[0]:.2f}"
-        with clock("lag"):
-            if lag_us is None:
+        if best.score < cfg.stage_one.min_score:
+            return f"the best of {len(hypotheses)} candidates agrees too little with a code: {best.score:.2f}"
+        pose = best.found.pose[0]
+        if lag_us is None:
+            with clock("lag"):
                 lag_px, found = estimate_lag(
-                    near, velocity, region, found.pose[0], version, cfg.stage_one, workspace=workspace
+                    best.events, velocity, best.region, pose, best.version, cfg.stage_one, workspace=workspace
                 )
-                lag_us = (lag_px[0] / per_us, lag_px[1] / per_us)
-        return self._measure(near, velocity, region, found.pose[0], version, lag_us, iterations)
+            lag_us, pose = (lag_px[0] / per_us, lag_px[1] / per_us), found.pose[0]
+        return self._measure(best.events, velocity, best.region, pose, best.version, lag_us, iterations)
+
+    def _look_closer(self, window: Window, velocity: NDArray[np.float64], candidate: Candidate) -> _Closer:
+        """Refine a candidate on an image of its own."""
+        cfg = self.config.stage_one
+        region = region_around(
+            candidate.pose, size_of(candidate.version), cfg, margin_px=SEARCH_MARGIN_PX
+        )
+        near = events_near(window, velocity, region)
+        image = splat_region(near, velocity, region, cfg, workspace=self.workspace)
+        found = refine_from_cold(
+            image, region.from_px @ candidate.pose, candidate.version, cfg, workspace=self.workspace
+        )
+        return _Closer(candidate.version, region, near, found)
 
     def follow(self, window: Window, seen: Sighting) -> Sighting | None:
         """Find a code again that an earlier window saw; None when it is lost."""

@@ -239,24 +239,20 @@ def _local_peaks(
 
 def _merge(found: NDArray[np.float64], cfg: FinderConfig) -> Peaks:
     """The best peaks; a place seen again on a neighbouring level is the same peak."""
-    found = found[np.argsort(-np.abs(found[:, 0]), kind="stable")]
-    kept: list[NDArray[np.float64]] = []
+    found = found[np.argsort(-np.abs(found[:, 0]), kind="stable")][: 4 * cfg.max_peaks]
+    x, y, size = found[:, 1], found[:, 2], np.log(np.maximum(found[:, 3], 1e-9))
+    same = np.hypot(x[:, None] - x, y[:, None] - y) < 2.0 * found[:, 3][:, None]
+    same &= np.abs(size[:, None] - size) < 1.5 * math.log(cfg.scale_ratio)
+    same &= np.sign(found[:, 0])[:, None] == np.sign(found[:, 0])
+    kept: list[int] = []
     left = np.ones(len(found), bool)
     for k in range(len(found)):
-        if not left[k]:
-            continue
-        peak = found[k]
-        near = (
-            left
-            & (np.hypot(found[:, 1] - peak[1], found[:, 2] - peak[2]) < 2.0 * peak[3])
-            & (np.abs(np.log(found[:, 3] / peak[3])) < 1.5 * math.log(cfg.scale_ratio))
-            & (found[:, 0] * peak[0] > 0.0)
-        )
-        left &= ~near
-        kept.append(peak)
-        if len(kept) == cfg.max_peaks:
-            break
-    table = np.array(kept).reshape(-1, 5)
+        if left[k]:
+            left &= ~same[k]
+            kept.append(k)
+            if len(kept) == cfg.max_peaks:
+                break
+    table = found[kept]
     return Peaks(table[:, 0], table[:, 1:3], table[:, 3], table[:, 4])
 
 
@@ -283,12 +279,13 @@ def find_hypotheses(peaks: Peaks, cfg: FinderConfig) -> list[Hypothesis]:
     pair &= np.abs(size[:, None] - size[None, :]) < 2.0 * cfg.scale_tolerance
     pair &= log_leg > np.minimum(size[:, None], size[None, :]) + math.log(14.0) - 2.0 * cfg.scale_tolerance
 
-    i, j, k = np.nonzero(
-        pair[:, :, None]
-        & pair[:, None, :]
-        & (turn(direction[:, None, :] - direction[:, :, None] - math.pi / 2, 2.0 * math.pi) < cfg.angle_tolerance)
-        & (np.abs(log_leg[:, :, None] - log_leg[:, None, :]) < cfg.leg_tolerance)
-    )
+    # legs that leave the same corner, two by two
+    corner, end = np.nonzero(pair)
+    first, second = np.nonzero(corner[:, None] == corner[None, :])
+    i, j, k = corner[first], end[first], end[second]
+    fits = turn(direction[i, k] - direction[i, j] - math.pi / 2, 2.0 * math.pi) < cfg.angle_tolerance
+    fits &= np.abs(log_leg[i, j] - log_leg[i, k]) < cfg.leg_tolerance
+    i, j, k = i[fits], j[fits], k[fits]
     response = np.abs(peaks.response[i]) + np.abs(peaks.response[j]) + np.abs(peaks.response[k])
     modules = 0.5 * (log_leg[i, j] + log_leg[i, k]) - (size[i] + size[j] + size[k]) / 3.0
     hypotheses: list[Hypothesis] = []

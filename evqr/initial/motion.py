@@ -75,7 +75,7 @@ def estimate_motion(
     Parameters
     ----------
     reduction   binning [px]; 1 is the precise look
-    reach       largest displacement between the halves [binned px]; default ``cfg.reach_px``
+    reach       largest displacement between the halves [binned px]; default ``cfg.reach_px``, and more when the peak lies there
 
     Returns
     -------
@@ -108,7 +108,10 @@ def estimate_motion(
     smooth = _smoother(shifts, blur)
     surface = smooth @ workspace.get(correlation)[0].astype(np.float64) @ smooth.T
     energy = np.sqrt(np.square(counts).sum(axis=(1, 2), dtype=np.float64).prod())
-    displacement = _peak(surface) * reduction
+    peak = _peak(surface)
+    if reach is None and np.abs(peak).max() >= cfg.reach_px:
+        return estimate_motion(window, cfg, workspace=workspace, reduction=reduction, reach=4 * cfg.reach_px)
+    displacement = peak * reduction
     between = float(window.t[middle:].mean(dtype=np.float64) - window.t[:middle].mean(dtype=np.float64))
     if between <= 0.0:
         return None
@@ -133,9 +136,9 @@ def find_motion(
         length = cfg.probe_us
         for _ in range(4):
             coarse = estimate_motion(
-                events.window(start_us, start_us + length), cfg, workspace=workspace, reduction=cfg.reduction, reach=6
+                events.window(start_us, start_us + length), cfg, workspace=workspace, reduction=cfg.reduction
             )
-            if coarse is not None and coarse.peak >= cfg.min_peak and coarse.speed * length * 1e-6 >= 0.5:
+            if coarse is not None and coarse.peak >= cfg.min_peak and coarse.speed * length * 1e-6 >= 1.0:
                 speed = coarse.speed
                 break
             if length >= cfg.longest_us:
