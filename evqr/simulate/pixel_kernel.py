@@ -22,7 +22,8 @@ level 0.
 
 import warp as wp
 
-ROOT_TOLERANCE_US = wp.constant(1.0e-3)
+# About what float32 levels and slopes can tell.
+ROOT_TOLERANCE_US = wp.constant(0.02)
 ROOT_STEPS = wp.constant(12)
 
 
@@ -40,7 +41,7 @@ def crossing(level: float, slope: float, lag: float, rate: float, first: float, 
     below = level_after(level, slope, lag, rate, first) - target
     above = level_after(level, slope, lag, rate, last) - target
     s = wp.clamp(first - below * (last - first) / (above - below), first, last)
-    if lag == 0.0:
+    if lag == 0.0:  # a straight line
         return s
     for _ in range(ROOT_STEPS):
         miss = level_after(level, slope, lag, rate, s) - target
