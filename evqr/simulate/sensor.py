@@ -18,7 +18,7 @@ from evqr.types import EventArray
 RUN_IN_PX = 10.0
 #: Rows that one launch works on.
 BAND_ROWS = 60
-#: Room for the events of a band, of which only what is used takes memory; with more events the band runs again.
+#: Room for the events of a band; only what is used takes memory, and a band with more events runs again.
 EVENTS_PER_PIXEL = 40
 #: No pixel has a threshold below this [log units].
 LEAST_THRESHOLD = 0.02
