@@ -13,7 +13,7 @@ from typing import Any, Protocol
 
 from numpy.typing import DTypeLike, NDArray
 
-from evqr_kernels.config import SplatConfig
+from evqr_kernels.config import DEFAULT_KERNELS, KernelSet, SplatConfig
 
 AUTO = "warp"
 """What "auto" stands for: compiled kernels on every CPU, and on NVIDIA GPUs.  There is no silent second choice."""
@@ -57,12 +57,12 @@ class KernelBackend(Protocol):
         """None when the operation can run, otherwise the reason why not."""
         ...
 
-    def needs_compile(self, device: str = "cpu") -> bool:
-        """Whether the solver's kernels are not yet in this machine's cache, so that `load` takes seconds."""
+    def needs_compile(self, device: str = "cpu", kernels: KernelSet = DEFAULT_KERNELS) -> bool:
+        """Whether some of the kernels are not yet in this machine's cache, so that `load` takes seconds."""
         ...
 
-    def load(self, device: str = "cpu") -> None:
-        """Compile or load the solver's kernels (float32); call it before threads start."""
+    def load(self, device: str = "cpu", kernels: KernelSet = DEFAULT_KERNELS) -> None:
+        """Compile or load kernels (float32); call it before threads start."""
         ...
 
     def bin_events(

@@ -1,5 +1,6 @@
 """Frozen settings that kernels are built for."""
 
+import functools
 import math
 from dataclasses import dataclass
 
@@ -33,13 +34,31 @@ class SplatConfig:
         """Pixels on either side of the nearest one that a splat can touch."""
         return math.ceil(self.radius_px - 0.5)
 
-    @property
+    def gauss(self, r: float) -> float:
+        """``exp(-r^2 / (2 epsilon^2))``."""
+        return math.exp(-0.5 * (r / self.epsilon_px) ** 2)
+
+    @functools.cached_property
     def norm(self) -> float:
         """1 / c: makes the integral of ``g`` 1."""
         steps = 4000
-        h = 2.0 * self.radius_px / steps
-        total = 0.0
-        for k in range(1, steps):
-            s = -1.0 + 2.0 * k / steps
-            total += math.exp(-0.5 * (s * self.radius_px / self.epsilon_px) ** 2) * (1.0 - s * s) ** 2
-        return 1.0 / (total * h)
+        offsets = (2.0 * k / steps - 1.0 for k in range(1, steps))
+        total = sum(self.gauss(s * self.radius_px) * (1.0 - s * s) ** 2 for s in offsets)
+        return steps / (2.0 * self.radius_px * total)
+
+
+@dataclass(frozen=True, kw_only=True)
+class KernelSet:
+    """What kernels to load ahead of their first use; those not named here have no variants.
+
+    Attributes
+    ----------
+    splats        : the splats that will be asked for
+    table_columns : functions in the tables of `sample_moments`
+    """
+
+    splats: tuple[SplatConfig, ...] = (SplatConfig(),)
+    table_columns: int = 20
+
+
+DEFAULT_KERNELS = KernelSet()

@@ -1,16 +1,36 @@
-"""The Warp backend: buffers, devices and launches; the mathematics is in the files beside this one.
+"""The Warp backend: buffers, devices and dispatch; the mathematics is in the files beside this one.
 
 A launch on the CPU is one plain loop on the calling thread with the GIL released, so disjoint windows run on as many Python
-threads as the caller likes.
+threads as the caller likes (call `WarpBackend.load` before they start).
 """
+
+import contextlib
+import os
+import sys
+import tempfile
+from collections.abc import Iterator
+from typing import Any
 
 import numpy as np
 import warp as wp
+from numpy.typing import DTypeLike, NDArray
 
-from evqr_kernels.config import SplatConfig
-from evqr_kernels.warp_backend import code, motion, pose, splat, templates
+from evqr_kernels.backend import OPS, require_device
+from evqr_kernels.config import DEFAULT_KERNELS, KernelSet
+from evqr_kernels.warp_backend import (
+    code,
+    motion,
+    pose,
+    render,
+    residual,
+    solve,
+    splat,
+    splat_adjoint,
+    templates,
+)
 
 _DTYPES = {np.dtype(np.float32): wp.float32, np.dtype(np.float64): wp.float64, np.dtype(np.int32): wp.int32}
+_NO_DRIVER = b"Could not find or load the NVIDIA CUDA driver"
 
 
 class WarpBackend:
@@ -18,94 +38,114 @@ class WarpBackend:
 
     name = "warp"
 
+    bin_events = staticmethod(splat.bin_events)
+    splat_events = staticmethod(splat.splat_events)
+    splat_events_adjoint = staticmethod(splat_adjoint.splat_events_adjoint)
+    motion_correlation = staticmethod(motion.motion_correlation)
+    reduce_image = staticmethod(templates.reduce_image)
+    correlate_templates = staticmethod(templates.correlate_templates)
+    sample_moments = staticmethod(pose.sample_moments)
+    sample_moments_adjoint = staticmethod(pose.sample_moments_adjoint)
+    code_rhs = staticmethod(code.code_rhs)
+    solve_code = staticmethod(solve.solve_code)
+    render_affine = staticmethod(render.render_affine)
+    render_affine_adjoint = staticmethod(render.render_affine_adjoint)
+    brightness_residual = staticmethod(residual.brightness_residual)
+    brightness_residual_adjoint = staticmethod(residual.brightness_residual_adjoint)
+
     def __init__(self) -> None:
         level = wp.config.log_level
-        wp.config.log_level = wp.LOG_ERROR  # a machine without a GPU is no reason for a warning
-        wp.init()
-        wp.config.log_level = max(level, wp.LOG_WARNING)
+        wp.config.log_level = wp.LOG_ERROR
+        with _without_driver_warning():
+            wp.init()
+        wp.config.log_level = max(level, wp.LOG_WARNING)  # each load of a module would be a line
 
     def devices(self) -> tuple[str, ...]:
-        """Names of the devices that this machine has."""
-        return tuple(d.alias for d in wp.get_devices())
+        """Names of the devices that this machine has; "cpu" first."""
+        return tuple(device.alias for device in wp.get_devices())
 
-    def empty(self, shape, dtype, device):
-        """An array with undefined contents."""
+    def empty(self, shape: tuple[int, ...], dtype: DTypeLike, device: str) -> wp.array:
+        """Make an array with undefined contents."""
+        require_device(self, device)
         return wp.empty(shape, dtype=_DTYPES[np.dtype(dtype)], device=device)
 
-    def from_host(self, array, device):
-        """A copy of a NumPy array on the device; on the CPU the same memory."""
+    def from_host(self, array: NDArray[Any], device: str) -> wp.array:
+        """Bring a NumPy array to the device; on the CPU it is the same memory."""
+        require_device(self, device)
         array = np.ascontiguousarray(array)
-        return wp.from_numpy(array, dtype=_DTYPES[array.dtype], device=device) if device != "cpu" else wp.array(
-            array, dtype=_DTYPES[array.dtype], device=device, copy=False
-        )
+        return wp.array(array, dtype=_DTYPES[array.dtype], device=device, copy=False)
 
-    def to_host(self, array):
-        """A NumPy array with the contents; on the CPU the same memory."""
+    def to_host(self, array: wp.array) -> NDArray[Any]:
+        """Bring an array back; on the CPU it is the same memory.  Waits for the device."""
         return array.numpy()
 
-    def synchronize(self, device) -> None:
+    def synchronize(self, device: str) -> None:
         """Wait for everything launched on the device."""
         wp.synchronize_device(device)
 
-    def bin_events(self, x, y, weight, window_ptr, reduction, image_out):
-        kernel = splat.make_bin_events(x.dtype)
-        wp.launch(kernel, x.shape[0], inputs=[x, y, weight, window_ptr, 1.0 / reduction], outputs=[image_out], device=x.device)
+    def supports(self, op: str, dtype: DTypeLike, device: str) -> str | None:
+        """None when the operation can run, otherwise the reason why not."""
+        if op not in OPS:
+            return f"no operation {op!r}"
+        if np.dtype(dtype) not in (np.dtype(np.float32), np.dtype(np.float64)):
+            return f"dtype {np.dtype(dtype)} is neither float32 nor float64"
+        return None if device in self.devices() else f"no device {device!r}"
 
-    def splat_events(self, x, y, t, weight, window_ptr, motion, lag, frame, image_out, cfg: SplatConfig):
-        kernel = splat.make_splat_events(x.dtype, cfg)
-        wp.launch(kernel, x.shape[0], inputs=[x, y, t, weight, window_ptr, motion, lag, frame], outputs=[image_out], device=x.device)
+    def needs_compile(self, device: str = "cpu", kernels: KernelSet = DEFAULT_KERNELS) -> bool:
+        """Whether some of the kernels are not yet in this machine's cache, so that `load` takes seconds."""
+        require_device(self, device)
+        block = 1 if device == "cpu" else None
+        names = (module.get_module_identifier(block) for module in _modules(kernels, device))
+        return not all(os.path.isdir(os.path.join(str(wp.config.kernel_cache_dir), name)) for name in names)
 
-    def motion_correlation(self, first, second, radius, rows, correlation_out):
-        rows_kernel, add = motion.make_motion_correlation(first.dtype)
-        wp.launch(rows_kernel, first.shape[:2], inputs=[first, second, radius], outputs=[rows], device=first.device)
-        wp.launch(add, correlation_out.shape, inputs=[rows], outputs=[correlation_out], device=first.device)
-
-    def reduce_image(self, image, ratio, image_out):
-        wp.launch(templates.make_reduce_image(image.dtype), image_out.shape, inputs=[image, ratio], outputs=[image_out], device=image.device)
-
-    def correlate_templates(self, image, bank, disc, floor, response_out, angle_out):
-        kernel = templates.make_correlate_templates(image.dtype)
-        b, h, w = response_out.shape
-        vec = wp.types.vector(length=templates.ANGLES, dtype=image.dtype)
-        bank = bank.view(vec) if bank.ndim == 3 else bank
-        wp.launch(kernel, (b, h, w // 4), inputs=[image, bank, disc, floor], outputs=[response_out, angle_out], device=image.device)
-
-    def sample_moments(self, image, image_idx, p, active, points, table, chunks, moments_out):
-        columns = table.shape[1]
-        of_chunks, add = pose.make_sample_moments(image.dtype, columns)
-        vec = wp.types.vector(length=columns, dtype=image.dtype)
-        n = -(-points.shape[0] // pose.CHUNK)
-        wp.launch(of_chunks, (p.shape[0], n), inputs=[image, image_idx, p, active, points, table.view(vec)], outputs=[chunks], device=image.device)
-        wp.launch(add, moments_out.shape, inputs=[chunks, active, n], outputs=[moments_out], device=image.device)
-
-    def code_rhs(self, image, p, lattice, profile, slope, gain, samples_a_module, samples, rows, rhs_out):
-        sample_rows, fold = code.make_code_rhs(image.dtype)
-        wp.launch(sample_rows, (p.shape[0], lattice.shape[0]), inputs=[image, p, lattice, profile, slope, samples_a_module], outputs=[samples, rows], device=image.device)
-        wp.launch(fold, rhs_out.shape, inputs=[rows, profile, slope, gain, samples_a_module], outputs=[rhs_out], device=image.device)
-
-    def solve_code(self, rhs, stencil, damping, free, q, scratch, iterations_out, *, max_iterations, tolerance):
-        start, apply, update = code.make_solve_code(rhs.dtype)
-        residual, da, db, product, ra, rb = scratch
-        dim = (rhs.shape[0], rhs.shape[1])
-        dev = rhs.device
-        wp.launch(start, dim, inputs=[rhs, stencil, damping, free, q], outputs=[residual, da, ra], device=dev)
-        iterations_out.zero_()
-        for _ in range(max_iterations):
-            wp.launch(apply, dim, inputs=[stencil, damping, free, residual, da, tolerance**2, ra], outputs=[db, product], device=dev)
-            wp.launch(update, dim, inputs=[residual, db, product, tolerance**2, ra], outputs=[rb, q, iterations_out], device=dev)
-            da, db, ra, rb = db, da, rb, ra
+    def load(self, device: str = "cpu", kernels: KernelSet = DEFAULT_KERNELS) -> None:
+        """Compile or load kernels (float32); call it before threads start."""
+        require_device(self, device)
+        for module in _modules(kernels, device):
+            wp.load_module(module, device=device)
 
 
-    def needs_compile(self, device: str = "cpu") -> bool:
-        return False
+def _modules(kernels: KernelSet, device: str) -> list[wp.Module]:
+    """List the Warp modules of the kernels that reading a code launches."""
+    f32 = wp.float32
+    made = [
+        splat.make_bin_events(f32),
+        *(splat.make_splat_events(f32, cfg) for cfg in kernels.splats),
+        motion.make_correlate_rows(f32),
+        motion.make_add_rows(f32),
+        templates.make_reduce_image(f32),
+        templates.make_correlate_templates(f32, templates.BLOCKS[0]),
+        pose.make_moments_of_chunks(f32, kernels.table_columns),
+        pose.make_add_chunks(f32, kernels.table_columns),
+        code.make_sample_rows(f32),
+        code.make_fold_columns(f32, code.BLOCK),
+        *solve.make_kernels(f32, on_cpu=device == "cpu"),
+    ]
+    return list(dict.fromkeys(kernel.module for kernel in made))
 
-    def load(self, device: str = "cpu") -> None:
-        pass
 
-    def supports(self, op, dtype, device):
-        return None
+@contextlib.contextmanager
+def _without_driver_warning() -> Iterator[None]:
+    """Hold back one line of native code: a machine without a GPU is no reason for a warning.  Others are passed on."""
+    try:
+        sys.stderr.flush()
+        kept = os.dup(2)
+    except (AttributeError, OSError):  # no standard error, as under pythonw
+        yield
+        return
+    with tempfile.TemporaryFile() as caught:
+        os.dup2(caught.fileno(), 2)
+        try:
+            yield
+        finally:
+            os.dup2(kept, 2)
+            os.close(kept)
+            caught.seek(0)
+            others = b"".join(line for line in caught if _NO_DRIVER not in line)
+            if others:
+                os.write(2, others)
 
 
 def load() -> WarpBackend:
-    """Entry point of the registry."""
+    """Make the backend; the registry calls it."""
     return WarpBackend()

@@ -10,33 +10,58 @@ from functools import cache
 
 import warp as wp
 
+from evqr_kernels.warp_backend.language import module_of, neighbours, vector
+
+BLOCK = 8
+"""Neighbouring shifts done together."""
+
 
 @cache
-def make_motion_correlation(dtype: type):
-    """Build the two passes; launch: one thread per row, then one per shift."""
+def make_correlate_rows(dtype: type) -> wp.Kernel:
+    """Build the first pass; launch: one thread per row.  ``.._blocks`` hold `BLOCK` neighbours of the same array."""
+    vec_block = vector(BLOCK, dtype)
 
-    @wp.kernel(module="unique", enable_backward=False)
+    @wp.kernel(module=module_of("motion", dtype))
     def correlate_rows(
         first: wp.array3d(dtype=dtype),
         second: wp.array3d(dtype=dtype),
+        second_blocks: wp.array3d(dtype=vec_block),
         radius: int,
         rows_out: wp.array4d(dtype=dtype),
+        row_blocks_out: wp.array4d(dtype=vec_block),
     ):
         b, y = wp.tid()
         height = first.shape[1]
         width = first.shape[2]
         shifts = 2 * radius + 1
+        whole = shifts - shifts % BLOCK
         for j in range(shifts):
             for i in range(shifts):
                 rows_out[b, y, j, i] = dtype(0.0)
         for x in range(width):
             value = first[b, y, x]
             if value != dtype(0.0):
-                for j in range(wp.max(0, radius - y), wp.min(shifts, height - y + radius)):
-                    for i in range(wp.max(0, radius - x), wp.min(shifts, width - x + radius)):
-                        rows_out[b, y, j, i] += value * second[b, y + j - radius, x + i - radius]
+                left = x - radius
+                top = y - radius
+                begin = int(0)
+                # where the square of shifts lies inside the image: blocks of shifts, and then the few that are left
+                if left >= 0 and left + shifts <= width:
+                    begin = whole
+                    for j in range(wp.max(0, -top), wp.min(shifts, height - top)):
+                        for i in range(0, whole, BLOCK):
+                            row_blocks_out[b, y, j, i] += value * second_blocks[b, top + j, left + i]
+                for j in range(wp.max(0, -top), wp.min(shifts, height - top)):
+                    for i in range(wp.max(begin, -left), wp.min(shifts, width - left)):
+                        rows_out[b, y, j, i] += value * second[b, top + j, left + i]
 
-    @wp.kernel(module="unique", enable_backward=False)
+    return correlate_rows
+
+
+@cache
+def make_add_rows(dtype: type) -> wp.Kernel:
+    """Build the second pass; launch: one thread per row of shifts."""
+
+    @wp.kernel(module=module_of("motion", dtype))
     def add_rows(
         rows: wp.array4d(dtype=dtype),
         correlation_out: wp.array3d(dtype=dtype),
@@ -47,4 +72,23 @@ def make_motion_correlation(dtype: type):
             total += rows[b, y, j, i]
         correlation_out[b, j, i] = total
 
-    return correlate_rows, add_rows
+    return add_rows
+
+
+def motion_correlation(first, second, radius: int, rows_out, correlation_out) -> None:
+    """Launch both passes; overwrites."""
+    dtype, device = first.dtype, first.device
+    wp.launch(
+        make_correlate_rows(dtype),
+        first.shape[:2],
+        inputs=[first, second, neighbours(second, BLOCK), radius],
+        outputs=[rows_out, neighbours(rows_out, BLOCK)],
+        device=device,
+    )
+    wp.launch(
+        make_add_rows(dtype),
+        correlation_out.shape,
+        inputs=[rows_out],
+        outputs=[correlation_out],
+        device=device,
+    )

@@ -7,47 +7,78 @@ coordinates ``points[s]`` and a table of C model functions known beforehand:
     moments[c] = sum_s e_s table[s, c],  c < C;            moments[C] = sum_s e_s^2
 
 The Gauss-Newton matrix of an inverse-compositional step does not depend on the image, so these C + 1 numbers are the whole
-data term.  Points are cut into chunks with one owner each, and added up in a second pass: no atomics, deterministic.
+data term.  Points are cut into as many chunks as the scratch buffer has, each with one owner, and added up in a second pass:
+no atomics, deterministic.
+
+Adjoint in the image, with beta_s(x) the bilinear weight of pixel x at P(points[s]):
+
+    adj_image(x) += sum_s beta_s(x) (sum_c adj[c] table[s, c] + 2 e_s adj[C])
 """
 
 from functools import cache
 
 import warp as wp
 
-CHUNK = 512
+from evqr_kernels.warp_backend.language import module_of, neighbours, vector
 
 
 @cache
-def make_bilinear(dtype: type):
-    """Build the bilinear look-up used by every kernel that samples an image."""
+def make_project(dtype: type) -> wp.Function:
+    """Build the function that maps code coordinates to image pixels."""
 
     @wp.func
-    def bilinear(image: wp.array3d(dtype=dtype), b: int, x: dtype, y: dtype) -> dtype:
+    def project(pose: wp.array2d(dtype=dtype), h: int, u: dtype, v: dtype):
+        inverse_depth = dtype(1.0) / (pose[h, 6] * u + pose[h, 7] * v + pose[h, 8])
+        x = (pose[h, 0] * u + pose[h, 1] * v + pose[h, 2]) * inverse_depth
+        y = (pose[h, 3] * u + pose[h, 4] * v + pose[h, 5]) * inverse_depth
+        return x, y
+
+    return project
+
+
+@cache
+def make_inside(dtype: type) -> wp.Function:
+    """Build the test whether the four pixels around a position are in the image; also false for NaN."""
+
+    @wp.func
+    def inside(x: dtype, y: dtype, height: int, width: int) -> bool:
+        return x >= dtype(0.0) and y >= dtype(0.0) and x < dtype(width - 1) and y < dtype(height - 1)
+
+    return inside
+
+
+@cache
+def make_bilinear(dtype: type) -> wp.Function:
+    """Build the bilinear look-up; ``pairs[b, y, x]`` holds the pixels x and x + 1 of a row."""
+    vec_pair = vector(2, dtype)
+    inside = make_inside(dtype)
+
+    @wp.func
+    def bilinear(pairs: wp.array3d(dtype=vec_pair), b: int, x: dtype, y: dtype) -> dtype:
         value = dtype(0.0)
-        width = image.shape[2]
-        height = image.shape[1]
-        if x >= dtype(0.0) and y >= dtype(0.0) and x < dtype(width - 1) and y < dtype(height - 1):
+        if inside(x, y, pairs.shape[1], pairs.shape[2] + 1):
             column = int(x)
             row = int(y)
-            fx = x - dtype(column)
-            fy = y - dtype(row)
-            top = image[b, row, column] + fx * (image[b, row, column + 1] - image[b, row, column])
-            bottom = image[b, row + 1, column] + fx * (image[b, row + 1, column + 1] - image[b, row + 1, column])
-            value = top + fy * (bottom - top)
+            top = pairs[b, row, column]
+            bottom = pairs[b, row + 1, column]
+            both = top + (y - dtype(row)) * (bottom - top)
+            value = both[0] + (x - dtype(column)) * (both[1] - both[0])
         return value
 
     return bilinear
 
 
 @cache
-def make_sample_moments(dtype: type, columns: int):
-    """Build the two passes for a table of ``columns`` functions; launch: a thread per (pose, chunk), then per (pose, column)."""
-    vec_columns = wp.types.vector(length=columns, dtype=dtype)
+def make_moments_of_chunks(dtype: type, columns: int) -> wp.Kernel:
+    """Build the first pass for a table of ``columns`` functions; launch: one thread per (pose, chunk)."""
+    vec_columns = vector(columns, dtype)
+    vec_pair = vector(2, dtype)
     bilinear = make_bilinear(dtype)
+    project = make_project(dtype)
 
-    @wp.kernel(module="unique", enable_backward=False)
+    @wp.kernel(module=module_of(f"pose_{columns}", dtype))
     def moments_of_chunks(
-        image: wp.array3d(dtype=dtype),
+        pairs: wp.array3d(dtype=vec_pair),
         image_idx: wp.array(dtype=wp.int32),
         pose: wp.array2d(dtype=dtype),
         active: wp.array(dtype=wp.int32),
@@ -59,43 +90,119 @@ def make_sample_moments(dtype: type, columns: int):
         if active[h] == 0:
             return
         b = image_idx[h]
-        p0 = pose[h, 0]
-        p1 = pose[h, 1]
-        p2 = pose[h, 2]
-        p3 = pose[h, 3]
-        p4 = pose[h, 4]
-        p5 = pose[h, 5]
-        p6 = pose[h, 6]
-        p7 = pose[h, 7]
-        p8 = pose[h, 8]
+        count = points.shape[0]
+        length = (count + chunks_out.shape[1] - 1) // chunks_out.shape[1]
         moments = vec_columns()
         energy = dtype(0.0)
-        first = chunk * CHUNK
-        for s in range(first, wp.min(first + CHUNK, points.shape[0])):
-            u = points[s, 0]
-            v = points[s, 1]
-            inverse_depth = dtype(1.0) / (p6 * u + p7 * v + p8)
-            e = bilinear(image, b, (p0 * u + p1 * v + p2) * inverse_depth, (p3 * u + p4 * v + p5) * inverse_depth)
+        for s in range(chunk * length, wp.min((chunk + 1) * length, count)):
+            x, y = project(pose, h, points[s, 0], points[s, 1])
+            e = bilinear(pairs, b, x, y)
             if e != dtype(0.0):
                 moments += e * table[s]
                 energy += e * e
-        for c in range(wp.static(columns)):
+        for c in range(columns):
             chunks_out[h, chunk, c] = moments[c]
         chunks_out[h, chunk, columns] = energy
 
-    @wp.kernel(module="unique", enable_backward=False)
+    return moments_of_chunks
+
+
+@cache
+def make_add_chunks(dtype: type, columns: int) -> wp.Kernel:
+    """Build the second pass, beside the first; launch: one thread per (pose, moment)."""
+
+    @wp.kernel(module=module_of(f"pose_{columns}", dtype))
     def add_chunks(
         chunks: wp.array3d(dtype=dtype),
         active: wp.array(dtype=wp.int32),
-        count: int,
         moments_out: wp.array2d(dtype=dtype),
     ):
         h, c = wp.tid()
         if active[h] == 0:
             return
         total = dtype(0.0)
-        for k in range(count):
+        for k in range(chunks.shape[1]):
             total += chunks[h, k, c]
         moments_out[h, c] = total
 
-    return moments_of_chunks, add_chunks
+    return add_chunks
+
+
+def sample_moments(image, image_idx, pose, active, points, table, chunks_out, moments_out) -> None:
+    """Launch both passes; overwrites the moments of active poses, leaves those of the others."""
+    dtype, device = image.dtype, image.device
+    columns = table.shape[1]
+    wp.launch(
+        make_moments_of_chunks(dtype, columns),
+        chunks_out.shape[:2],
+        inputs=[neighbours(image, 2), image_idx, pose, active, points, table.view(vector(columns, dtype))],
+        outputs=[chunks_out],
+        device=device,
+    )
+    wp.launch(
+        make_add_chunks(dtype, columns),
+        moments_out.shape,
+        inputs=[chunks_out, active],
+        outputs=[moments_out],
+        device=device,
+    )
+
+
+@cache
+def make_sample_moments_adjoint(dtype: type, columns: int) -> wp.Kernel:
+    """Build the adjoint in the image; launch: one thread per (pose, point)."""
+    vec_columns = vector(columns, dtype)
+    bilinear = make_bilinear(dtype)
+    inside = make_inside(dtype)
+    project = make_project(dtype)
+
+    @wp.kernel(module=module_of(f"pose_adjoint_{columns}", dtype))
+    def sample_moments_adjoint(
+        pairs: wp.array3d(dtype=vector(2, dtype)),
+        image_idx: wp.array(dtype=wp.int32),
+        pose: wp.array2d(dtype=dtype),
+        active: wp.array(dtype=wp.int32),
+        points: wp.array2d(dtype=dtype),
+        table: wp.array(dtype=vec_columns),
+        adj_moments: wp.array2d(dtype=dtype),
+        adj_image_out: wp.array3d(dtype=dtype),
+    ):
+        h, s = wp.tid()
+        x, y = project(pose, h, points[s, 0], points[s, 1])
+        if active[h] != 0 and inside(x, y, adj_image_out.shape[1], adj_image_out.shape[2]):
+            b = image_idx[h]
+            adj = dtype(2.0) * bilinear(pairs, b, x, y) * adj_moments[h, columns]
+            for c in range(columns):
+                adj += adj_moments[h, c] * table[s][c]
+            column = int(x)
+            row = int(y)
+            right = (x - dtype(column)) * adj
+            left = adj - right
+            fy = y - dtype(row)
+            wp.atomic_add(adj_image_out, b, row, column, left - fy * left)
+            wp.atomic_add(adj_image_out, b, row, column + 1, right - fy * right)
+            wp.atomic_add(adj_image_out, b, row + 1, column, fy * left)
+            wp.atomic_add(adj_image_out, b, row + 1, column + 1, fy * right)
+
+    return sample_moments_adjoint
+
+
+def sample_moments_adjoint(image, image_idx, pose, active, points, table, adj_moments, adj_image_out) -> None:
+    """Launch; accumulates.  Float atomics: on a GPU sums repeat to a tolerance, not bit for bit."""
+    dtype = image.dtype
+    columns = table.shape[1]
+    wp.launch(
+        make_sample_moments_adjoint(dtype, columns),
+        (pose.shape[0], points.shape[0]),
+        inputs=[
+            neighbours(image, 2),
+            image_idx,
+            pose,
+            active,
+            points,
+            table.view(vector(columns, dtype)),
+            adj_moments,
+        ],
+        outputs=[adj_image_out],
+        device=image.device,
+    )

@@ -5,19 +5,17 @@
 ``splat_events`` transports and splats.  With c_i = (x_i, y_i) - t_i motion, brought to image pixels by the window's origin
 and scale, and d the direction of the motion:
 
-    image(x) = sum_i w_i (1 - lag_i d . grad) N(x - c_i),        N(r) = g(r_x) g(r_y)     (SplatConfig)
+    image(x) += sum_i w_i e_i(x - c_i),     e_i(r) = (1 - lag_i d . grad) N(r),     N(r) = g(r_x) g(r_y)     (SplatConfig)
 
 The directional derivative undoes a first-order pixel that lags by ``lag_i`` image px along the motion; ON and OFF events
-(the sign of w_i) have a lag each.  It costs one more multiply-add a tap, for the splat is separable:
+(the sign of w_i) have a lag each.  The splat is separable, so it costs one more multiply-add a tap:
 
-    tap(i, j) = a_i g_j + b_i g'_j,   a_i = w (g_i - lag d_x g'_i),   b_i = -w lag d_y g_i
+    e_i(j, k) = (g_j - lag d_x g'_j) g_k - lag d_y g_j g'_k          (j columns, k rows)
 
-Adjoint, for adj = d loss / d image and e(r) the tap above without w:
+Adjoint, for adj = d loss / d image; lag and direction d are parameters, no derivative is taken with respect to them:
 
-    adj_w_i      = sum_x adj(x) e(x - c_i)
-    adj_motion   = sum_i t_i / scale  w_i sum_x adj(x) grad e(x - c_i)
-
-(the lag and the direction d are parameters: no derivative is taken with respect to them).
+    adj_w_i    = sum_x adj(x) e_i(x - c_i)
+    adj_motion = sum_i (t_i / scale) w_i sum_x adj(x) grad e_i(x - c_i)
 """
 
 from functools import cache
@@ -25,13 +23,14 @@ from functools import cache
 import warp as wp
 
 from evqr_kernels.config import SplatConfig
+from evqr_kernels.warp_backend.language import module_of, neighbours, vector
 
 
 @cache
-def make_bin_events(dtype: type):
+def make_bin_events(dtype: type) -> wp.Kernel:
     """Build the binning kernel; launch: one thread per event."""
 
-    @wp.kernel(module="unique", enable_backward=False)
+    @wp.kernel(module=module_of("bin", dtype))
     def bin_events(
         x: wp.array(dtype=dtype),
         y: wp.array(dtype=dtype),
@@ -50,17 +49,71 @@ def make_bin_events(dtype: type):
     return bin_events
 
 
+def bin_events(x, y, weight, window_ptr, reduction: float, image_out) -> None:
+    """Launch; accumulates.  Float atomics: on a GPU sums repeat to a tolerance, not bit for bit."""
+    wp.launch(
+        make_bin_events(x.dtype),
+        x.shape[0],
+        inputs=[x, y, weight, window_ptr, 1.0 / reduction],
+        outputs=[image_out],
+        device=x.device,
+    )
+
+
 @cache
-def make_splat_events(dtype: type, cfg: SplatConfig):
+def make_splat_taps(dtype: type, cfg: SplatConfig) -> wp.Function:
+    """Build the function that gives g and g' at the taps around an event ``offset`` px from the middle one."""
+    reach = cfg.reach
+    vec_taps = vector(2 * reach + 1, dtype)
+    gauss = wp.constant(vec_taps(*(cfg.norm * cfg.gauss(k) for k in range(-reach, reach + 1))))
+    inverse_variance = wp.constant(dtype(1.0 / cfg.epsilon_px**2))
+    inverse_radius_sq = wp.constant(dtype(1.0 / cfg.radius_px**2))
+
+    @wp.func
+    def splat_taps(offset: dtype):
+        # exp(-(k - f)^2 / 2 eps^2) = exp(-f^2 / 2 eps^2) exp(f / eps^2)^k exp(-k^2 / 2 eps^2): two exps, not one a tap
+        value = vec_taps()
+        slope = vec_taps()
+        up = wp.exp(offset * inverse_variance)
+        down = dtype(1.0) / up
+        right = wp.exp(dtype(-0.5) * offset * offset * inverse_variance)
+        left = right
+        for k in range(wp.static(reach + 1)):
+            value[reach + k] = right * gauss[reach + k]
+            value[reach - k] = left * gauss[reach - k]
+            right *= up
+            left *= down
+        for k in range(wp.static(2 * reach + 1)):
+            r = dtype(k - reach) - offset
+            q = wp.max(dtype(1.0) - r * r * inverse_radius_sq, dtype(0.0))
+            slope[k] = -r * value[k] * q * (q * inverse_variance + dtype(4.0) * inverse_radius_sq)
+            value[k] = value[k] * q * q
+        return value, slope
+
+    return splat_taps
+
+
+@cache
+def make_transport(dtype: type) -> wp.Function:
+    """Build the function that brings an event to image pixels at the reference time."""
+
+    @wp.func
+    def transport(position: dtype, t: dtype, motion: dtype, origin: dtype, inverse_scale: dtype) -> dtype:
+        return (position - t * motion - origin + dtype(0.5)) * inverse_scale - dtype(0.5)
+
+    return transport
+
+
+@cache
+def make_splat_events(dtype: type, cfg: SplatConfig) -> wp.Kernel:
     """Build the splat kernel for one precision and shape of splat; launch: one thread per event."""
     reach = cfg.reach
     taps = 2 * reach + 1
-    vec_taps = wp.types.vector(length=taps, dtype=dtype)
-    inverse_variance = 1.0 / cfg.epsilon_px**2
-    inverse_radius_sq = 1.0 / cfg.radius_px**2
-    norm = cfg.norm
+    vec_taps = vector(taps, dtype)
+    splat_taps = make_splat_taps(dtype, cfg)
+    transport = make_transport(dtype)
 
-    @wp.kernel(module="unique", enable_backward=False)
+    @wp.kernel(module=module_of(f"splat_{taps}_{cfg.epsilon_px:g}_{cfg.radius_px:g}", dtype))
     def splat_events(
         x: wp.array(dtype=dtype),
         y: wp.array(dtype=dtype),
@@ -71,75 +124,57 @@ def make_splat_events(dtype: type, cfg: SplatConfig):
         lag: wp.array2d(dtype=dtype),
         frame: wp.array2d(dtype=dtype),
         image_out: wp.array3d(dtype=dtype),
+        rows_out: wp.array3d(dtype=vec_taps),
     ):
         e = wp.tid()
         window = wp.lower_bound(window_ptr, e + 1) - 1
         inverse_scale = dtype(1.0) / frame[window, 2]
-        half = dtype(0.5)
-        cx = (x[e] - t[e] * motion[window, 0] - frame[window, 0] + half) * inverse_scale - half
-        cy = (y[e] - t[e] * motion[window, 1] - frame[window, 1] + half) * inverse_scale - half
+        motion_x = motion[window, 0]
+        motion_y = motion[window, 1]
+        cx = transport(x[e], t[e], motion_x, frame[window, 0], inverse_scale)
+        cy = transport(y[e], t[e], motion_y, frame[window, 1], inverse_scale)
         height = image_out.shape[1]
         width = image_out.shape[2]
-        # also false for NaN
-        if not (cx > dtype(-taps) and cy > dtype(-taps) and cx < dtype(width + taps) and cy < dtype(height + taps)):
+        # written so that it also holds for NaN
+        if not (
+            cx > dtype(-taps) and cy > dtype(-taps) and cx < dtype(width + taps) and cy < dtype(height + taps)
+        ):
             return
-        column = int(wp.floor(cx + half))
-        row = int(wp.floor(cy + half))
-        fx = cx - dtype(column)
-        fy = cy - dtype(row)
-
+        column = int(wp.floor(cx + dtype(0.5)))
+        row = int(wp.floor(cy + dtype(0.5)))
         w = weight[e]
-        speed = wp.sqrt(motion[window, 0] * motion[window, 0] + motion[window, 1] * motion[window, 1])
-        lag_x = dtype(0.0)
-        lag_y = dtype(0.0)
+        lag_px = lag[window, 0]
+        if w < dtype(0.0):
+            lag_px = lag[window, 1]
+        speed = wp.sqrt(motion_x * motion_x + motion_y * motion_y)
         if speed > dtype(0.0):
-            lag_px = lag[window, 0]
-            if w < dtype(0.0):
-                lag_px = lag[window, 1]
-            lag_x = lag_px * motion[window, 0] / speed
-            lag_y = lag_px * motion[window, 1] / speed
-
-        # exp(-(k - f)^2 / 2 eps^2) = exp(-f^2 / 2 eps^2) exp(f / eps^2)^k exp(-k^2 / 2 eps^2): two exps an axis, not one a tap
-        gx = vec_taps()
-        gy = vec_taps()
-        sx = vec_taps()
-        sy = vec_taps()
-        ratio_x = wp.exp(fx * dtype(wp.static(inverse_variance)))
-        ratio_y = wp.exp(fy * dtype(wp.static(inverse_variance)))
-        base_x = dtype(wp.static(norm)) * wp.exp(-half * fx * fx * dtype(wp.static(inverse_variance)))
-        base_y = dtype(wp.static(norm)) * wp.exp(-half * fy * fy * dtype(wp.static(inverse_variance)))
-        up_x = dtype(1.0)
-        up_y = dtype(1.0)
-        down_x = dtype(1.0)
-        down_y = dtype(1.0)
-        for k in range(wp.static(reach + 1)):
-            gauss = wp.exp(-half * dtype(k * k) * dtype(wp.static(inverse_variance)))
-            gx[reach + k] = base_x * up_x * gauss
-            gy[reach + k] = base_y * up_y * gauss
-            gx[reach - k] = base_x * down_x * gauss
-            gy[reach - k] = base_y * down_y * gauss
-            up_x *= ratio_x
-            up_y *= ratio_y
-            down_x /= ratio_x
-            down_y /= ratio_y
-        for k in range(wp.static(taps)):
-            rx = dtype(k - reach) - fx
-            ry = dtype(k - reach) - fy
-            qx = wp.max(dtype(1.0) - rx * rx * dtype(wp.static(inverse_radius_sq)), dtype(0.0))
-            qy = wp.max(dtype(1.0) - ry * ry * dtype(wp.static(inverse_radius_sq)), dtype(0.0))
-            four = dtype(wp.static(4.0 * inverse_radius_sq))
-            sx[k] = -rx * gx[k] * qx * (qx * dtype(wp.static(inverse_variance)) + four)
-            sy[k] = -ry * gy[k] * qy * (qy * dtype(wp.static(inverse_variance)) + four)
-            gx[k] = gx[k] * qx * qx
-            gy[k] = gy[k] * qy * qy
-
-        for j in range(wp.static(taps)):
-            yy = row + j - reach
-            if yy >= 0 and yy < height:
-                for i in range(wp.static(taps)):
+            lag_px /= speed
+        gx, sx = splat_taps(cx - dtype(column))
+        gy, sy = splat_taps(cy - dtype(row))
+        along = w * (gx - (lag_px * motion_x) * sx)
+        across = (-w * lag_px * motion_y) * gx
+        if row >= reach and column >= reach and row < height - reach and column < width - reach:
+            for j in range(wp.static(taps)):
+                wp.atomic_add(
+                    rows_out, window, row + j - reach, column - reach, gy[j] * along + sy[j] * across
+                )
+        else:
+            for j in range(taps):
+                for i in range(taps):
+                    yy = row + j - reach
                     xx = column + i - reach
-                    if xx >= 0 and xx < width:
-                        tap = w * ((gx[i] - lag_x * sx[i]) * gy[j] - lag_y * gx[i] * sy[j])
-                        wp.atomic_add(image_out, window, yy, xx, tap)
+                    if yy >= 0 and yy < height and xx >= 0 and xx < width:
+                        wp.atomic_add(image_out, window, yy, xx, gy[j] * along[i] + sy[j] * across[i])
 
     return splat_events
+
+
+def splat_events(x, y, t, weight, window_ptr, motion, lag, frame, image_out, cfg: SplatConfig) -> None:
+    """Launch; accumulates.  Float atomics: on a GPU sums repeat to a tolerance, not bit for bit."""
+    wp.launch(
+        make_splat_events(x.dtype, cfg),
+        x.shape[0],
+        inputs=[x, y, t, weight, window_ptr, motion, lag, frame],
+        outputs=[image_out, neighbours(image_out, 2 * cfg.reach + 1)],
+        device=x.device,
+    )

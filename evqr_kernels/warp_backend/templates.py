@@ -1,30 +1,36 @@
 """Matched filters at reduced resolution.
 
-``reduce_image``: area average onto a coarser grid: the pixel of the coarse image covers ``ratio`` x ``ratio`` fine pixels,
-with fractional coverage at its borders.
+``reduce_image``: sum over a coarser grid: the pixel of the coarse image covers ``ratio`` x ``ratio`` fine pixels, with
+fractional coverage at its borders.
 
-``correlate_templates``: normalised correlation with a bank of A square templates (8 angles of a finder pattern, say), and
-only its best angle kept:
+``correlate_templates``: normalised correlation with a bank of square templates (the angles of a finder pattern, say), of
+which only the best one is kept:
 
-    response(y, x, a) = sum_{j, i} T_a(j, i) image(y + j, x + i) / sqrt(sum_{j, i} D(j, i) image(y + j, x + i)^2 + floor)
+    response(y, x) = sum_{j, i} T_a(j, i) image(y + j, x + i) / sqrt(sum_{j, i} D(j, i) image(y + j, x + i)^2 + floor)
 
-D is the disc of the template, and the floor keeps quiet places quiet.  The bank's last channel is D.  The sign of the
-best response is kept: an inverted code answers with the opposite one.  Four neighbours share each template load, which
-is what makes it run at several multiply-adds a cycle on a CPU.
+with a = angle(y, x) the one of largest magnitude.  D is the disc that the templates fill, and the floor keeps quiet places
+quiet: where the energy under the disc is less than the floor the response is 0.  The sign of the best response is kept:
+an inverted code answers with the opposite one.
 """
 
 from functools import cache
 
 import warp as wp
 
+from evqr_kernels.warp_backend.language import module_of, neighbours, vector
+
 ANGLES = 8
+"""Templates in a bank."""
+
+BLOCKS = (16, 4)
+"""Neighbouring pixels that one thread does together, widest first: they share each template load."""
 
 
 @cache
-def make_reduce_image(dtype: type):
+def make_reduce_image(dtype: type) -> wp.Kernel:
     """Build the reduction; launch: one thread per coarse pixel."""
 
-    @wp.kernel(module="unique", enable_backward=False)
+    @wp.kernel(module=module_of("templates", dtype))
     def reduce_image(
         image: wp.array3d(dtype=dtype),
         ratio: dtype,
@@ -39,81 +45,117 @@ def make_reduce_image(dtype: type):
         total = dtype(0.0)
         for j in range(int(top), wp.min(int(wp.ceil(bottom)), image.shape[1])):
             share_y = wp.min(bottom, dtype(j) + one) - wp.max(top, dtype(j))
+            along = dtype(0.0)
             for i in range(int(left), wp.min(int(wp.ceil(right)), image.shape[2])):
                 share_x = wp.min(right, dtype(i) + one) - wp.max(left, dtype(i))
-                total += share_y * share_x * image[b, j, i]
+                along += share_x * image[b, j, i]
+            total += share_y * along
         image_out[b, y, x] = total
 
     return reduce_image
 
 
+def reduce_image(image, ratio: float, image_out) -> None:
+    """Launch; overwrites."""
+    wp.launch(
+        make_reduce_image(image.dtype),
+        image_out.shape,
+        inputs=[image, ratio],
+        outputs=[image_out],
+        device=image.device,
+    )
+
+
 @cache
-def make_correlate_templates(dtype: type):
-    """Build the matched filter; launch: one thread per four neighbouring pixels of a row."""
-    vec_angles = wp.types.vector(length=ANGLES, dtype=dtype)
+def make_correlate_templates(dtype: type, block: int) -> wp.Kernel:
+    """Build the matched filter; launch: one thread per ``block`` neighbouring pixels of a row.
 
-    @wp.func
-    def best_angle(response: vec_angles) -> int:
-        angle = int(0)
-        for a in range(1, wp.static(ANGLES)):
-            if wp.abs(response[a]) > wp.abs(response[angle]):
-                angle = a
-        return angle
+    ``pixels[b, y, x]`` is the vector of ``block`` pixels from x on.  The last block of a row ends with the row and may
+    overlap the one before: those pixels are computed twice, with the same result.
+    """
+    vec_pixels = vector(block, dtype)
+    vec_angles = vector(ANGLES, dtype)
 
-    @wp.kernel(module="unique", enable_backward=False)
+    @wp.kernel(module=module_of("templates" if block == BLOCKS[0] else f"templates_{block}", dtype))
     def correlate_templates(
-        image: wp.array3d(dtype=dtype),
+        pixels: wp.array3d(dtype=vec_pixels),
         bank: wp.array2d(dtype=vec_angles),
         disc: wp.array2d(dtype=dtype),
         floor: wp.array(dtype=dtype),
         response_out: wp.array3d(dtype=dtype),
         angle_out: wp.array3d(dtype=wp.int32),
     ):
-        b, y, quad = wp.tid()
-        x = 4 * quad
+        b, y, k = wp.tid()
+        x = wp.min(block * k, response_out.shape[2] - block)
+        # equal to block, which the compiler does not know: unrolled sixteen times, the end of the kernel spoils its middle
+        count = wp.min(block, response_out.shape[2] - x)
         size = disc.shape[0]
-        energy0 = dtype(0.0)
-        energy1 = dtype(0.0)
-        energy2 = dtype(0.0)
-        energy3 = dtype(0.0)
+        for p in range(count):
+            response_out[b, y, x + p] = dtype(0.0)
+            angle_out[b, y, x + p] = 0
+
+        # most of an image of events is empty: a bound that costs little, then the energy itself
+        under_block = vec_pixels()
         for j in range(size):
-            for i in range(size):
-                if disc[j, i] > dtype(0.0):
-                    v0 = image[b, y + j, x + i]
-                    v1 = image[b, y + j, x + i + 1]
-                    v2 = image[b, y + j, x + i + 2]
-                    v3 = image[b, y + j, x + i + 3]
-                    energy0 += v0 * v0
-                    energy1 += v1 * v1
-                    energy2 += v2 * v2
-                    energy3 += v3 * v3
-        for k in range(4):
-            response_out[b, y, x + k] = dtype(0.0)
-            angle_out[b, y, x + k] = 0
-        if wp.max(wp.max(energy0, energy1), wp.max(energy2, energy3)) < floor[b]:
+            for i in range(0, size - 1 + block, block):
+                v = pixels[b, y + j, x + wp.min(i, size - 1)]
+                under_block += wp.cw_mul(v, v)
+        bound = dtype(0.0)
+        for p in range(block):
+            bound += under_block[p]
+        if bound < floor[b]:
             return
-        r0 = vec_angles()
-        r1 = vec_angles()
-        r2 = vec_angles()
-        r3 = vec_angles()
+        energy = vec_pixels()
         for j in range(size):
             for i in range(size):
+                v = pixels[b, y + j, x + i]
+                energy += disc[j, i] * wp.cw_mul(v, v)
+        if wp.max(energy) < floor[b]:
+            return
+
+        r0 = vec_pixels()
+        r1 = vec_pixels()
+        r2 = vec_pixels()
+        r3 = vec_pixels()
+        r4 = vec_pixels()
+        r5 = vec_pixels()
+        r6 = vec_pixels()
+        r7 = vec_pixels()
+        for j in range(size):
+            for i in range(size):
+                v = pixels[b, y + j, x + i]
                 template = bank[j, i]
-                r0 += image[b, y + j, x + i] * template
-                r1 += image[b, y + j, x + i + 1] * template
-                r2 += image[b, y + j, x + i + 2] * template
-                r3 += image[b, y + j, x + i + 3] * template
-        a0 = best_angle(r0)
-        a1 = best_angle(r1)
-        a2 = best_angle(r2)
-        a3 = best_angle(r3)
-        response_out[b, y, x] = r0[a0] / wp.sqrt(energy0 + floor[b])
-        response_out[b, y, x + 1] = r1[a1] / wp.sqrt(energy1 + floor[b])
-        response_out[b, y, x + 2] = r2[a2] / wp.sqrt(energy2 + floor[b])
-        response_out[b, y, x + 3] = r3[a3] / wp.sqrt(energy3 + floor[b])
-        angle_out[b, y, x] = a0
-        angle_out[b, y, x + 1] = a1
-        angle_out[b, y, x + 2] = a2
-        angle_out[b, y, x + 3] = a3
+                r0 += template[0] * v
+                r1 += template[1] * v
+                r2 += template[2] * v
+                r3 += template[3] * v
+                r4 += template[4] * v
+                r5 += template[5] * v
+                r6 += template[6] * v
+                r7 += template[7] * v
+        for p in range(count):
+            if energy[p] >= floor[b]:
+                every = vec_angles(r0[p], r1[p], r2[p], r3[p], r4[p], r5[p], r6[p], r7[p])
+                best = every[0]
+                angle = int(0)
+                for a in range(1, wp.static(ANGLES)):
+                    if wp.abs(every[a]) > wp.abs(best):
+                        best = every[a]
+                        angle = a
+                response_out[b, y, x + p] = best / wp.sqrt(energy[p] + floor[b])
+                angle_out[b, y, x + p] = angle
 
     return correlate_templates
+
+
+def correlate_templates(image, bank, disc, floor, response_out, angle_out) -> None:
+    """Launch; overwrites."""
+    batch, height, width = response_out.shape
+    block = next(block for block in BLOCKS if block <= width)
+    wp.launch(
+        make_correlate_templates(image.dtype, block),
+        (batch, height, -(-width // block)),
+        inputs=[neighbours(image, block), bank.view(vector(ANGLES, image.dtype)), disc, floor],
+        outputs=[response_out, angle_out],
+        device=image.device,
+    )

@@ -1,0 +1,69 @@
+"""Every check of an array, in one message format: ``affine must have shape (B, 6), got (4, 5)``."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+
+Extent = str | int
+"""A size that is given, or a letter that stands for the same size in every array of a call."""
+
+
+class ArrayChecks:
+    """Checks the arrays of one call against each other: letters bind to the first size, floats to the first dtype."""
+
+    def __init__(self) -> None:
+        self.sizes: dict[str, int] = {}
+        self.dtype: np.dtype[Any] | None = None
+
+    def floats(self, name: str, array: Any, *shape: Extent) -> None:
+        """Raise unless ``array`` is float32 or float64, as those before it, and has the shape."""
+        self._numpy(name, array)
+        if array.dtype not in (np.dtype(np.float32), np.dtype(np.float64)):
+            raise TypeError(f"{name} must be float32 or float64, got {array.dtype}")
+        if self.dtype is None:
+            self.dtype = array.dtype
+        if array.dtype != self.dtype:
+            raise TypeError(f"{name} must be {self.dtype} like the arrays before it, got {array.dtype}")
+        self._shape(name, array, shape)
+
+    def ints(self, name: str, array: Any, *shape: Extent) -> None:
+        """Raise unless ``array`` is int32 and has the shape."""
+        self._numpy(name, array)
+        if array.dtype != np.dtype(np.int32):
+            raise TypeError(f"{name} must be int32, got {array.dtype}")
+        self._shape(name, array, shape)
+
+    def window_ptr(self, array: Any) -> None:
+        """Raise unless ``array`` cuts E events into B windows; E must be bound."""
+        self._numpy("window_ptr", array)
+        if array.ndim == 1 and len(array) == 0:
+            raise ValueError("window_ptr must have shape (B + 1,), got (0,)")
+        self.ints("window_ptr", array, "B + 1")
+        self.sizes["B"] = len(array) - 1
+        if array[0] != 0 or array[-1] != self.sizes["E"]:
+            raise ValueError(f"window_ptr must go from 0 to {self.sizes['E']}, got {array[0]} to {array[-1]}")
+        if (np.diff(array) < 0).any():
+            first = int(np.argmax(np.diff(array) < 0)) + 1
+            raise ValueError(f"window_ptr must not decrease, got {array[first]} after {array[first - 1]}")
+
+    def at_least(self, name: str, value: float, least: float) -> None:
+        """Raise unless ``value`` is a number of at least ``least``."""
+        if not value >= least:
+            raise ValueError(f"{name} must be at least {least}, got {value}")
+
+    def _numpy(self, name: str, array: Any) -> None:
+        if not isinstance(array, np.ndarray):
+            raise TypeError(f"{name} must be a NumPy array, got {type(array).__name__}")
+
+    def _shape(self, name: str, array: Any, shape: tuple[Extent, ...]) -> None:
+        want = "(" + ", ".join(map(str, shape)) + (",)" if len(shape) == 1 else ")")
+        if array.ndim != len(shape):
+            raise ValueError(f"{name} must have shape {want}, got {array.shape}")
+        for extent, size in zip(shape, array.shape, strict=True):
+            expected = extent if isinstance(extent, int) else self.sizes.setdefault(extent, size)
+            if size != expected:
+                known = {e: self.sizes[e] for e in shape if isinstance(e, str) and e in self.sizes}
+                where = " with " + ", ".join(f"{e} = {n}" for e, n in known.items()) if known else ""
+                raise ValueError(f"{name} must have shape {want}{where}, got {array.shape}")

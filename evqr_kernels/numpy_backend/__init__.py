@@ -1,0 +1,75 @@
+"""The specification: every kernel in plain NumPy, float32 and float64, written to be read and not to be fast.
+
+One file a concept, mirroring ``warp_backend``.  The other backends are tested against this one.
+"""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+from numpy.typing import DTypeLike, NDArray
+
+from evqr_kernels.backend import OPS
+from evqr_kernels.config import DEFAULT_KERNELS, KernelSet
+from evqr_kernels.numpy_backend import code, motion, pose, render, residual, solve, splat, templates
+
+
+class NumpyBackend:
+    """Plain NumPy on the CPU."""
+
+    name = "numpy"
+
+    bin_events = staticmethod(splat.bin_events)
+    splat_events = staticmethod(splat.splat_events)
+    splat_events_adjoint = staticmethod(splat.splat_events_adjoint)
+    motion_correlation = staticmethod(motion.motion_correlation)
+    reduce_image = staticmethod(templates.reduce_image)
+    correlate_templates = staticmethod(templates.correlate_templates)
+    sample_moments = staticmethod(pose.sample_moments)
+    sample_moments_adjoint = staticmethod(pose.sample_moments_adjoint)
+    code_rhs = staticmethod(code.code_rhs)
+    solve_code = staticmethod(solve.solve_code)
+    render_affine = staticmethod(render.render_affine)
+    render_affine_adjoint = staticmethod(render.render_affine_adjoint)
+    brightness_residual = staticmethod(residual.brightness_residual)
+    brightness_residual_adjoint = staticmethod(residual.brightness_residual_adjoint)
+
+    def devices(self) -> tuple[str, ...]:
+        """The CPU only."""
+        return ("cpu",)
+
+    def empty(self, shape: tuple[int, ...], dtype: DTypeLike, device: str) -> NDArray[Any]:
+        """Make an array with undefined contents."""
+        return np.empty(shape, dtype)
+
+    def from_host(self, array: NDArray[Any], device: str) -> NDArray[Any]:
+        """Give the same memory."""
+        return np.ascontiguousarray(array)
+
+    def to_host(self, array: NDArray[Any]) -> NDArray[Any]:
+        """Give the same memory."""
+        return array
+
+    def synchronize(self, device: str) -> None:
+        """Do nothing: NumPy has finished when it returns."""
+
+    def supports(self, op: str, dtype: DTypeLike, device: str) -> str | None:
+        """None when the operation can run, otherwise the reason why not."""
+        if op not in OPS:
+            return f"no operation {op!r}"
+        if np.dtype(dtype) not in (np.dtype(np.float32), np.dtype(np.float64)):
+            return f"dtype {np.dtype(dtype)} is neither float32 nor float64"
+        return None if device == "cpu" else f"no device {device!r}"
+
+    def needs_compile(self, device: str = "cpu", kernels: KernelSet = DEFAULT_KERNELS) -> bool:
+        """Nothing to compile."""
+        return False
+
+    def load(self, device: str = "cpu", kernels: KernelSet = DEFAULT_KERNELS) -> None:
+        """Nothing to load."""
+
+
+def load() -> NumpyBackend:
+    """Make the backend; the registry calls it."""
+    return NumpyBackend()

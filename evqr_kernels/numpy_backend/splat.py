@@ -1,0 +1,130 @@
+"""Events to images; the formulas are in ``warp_backend/splat.py``."""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from evqr_kernels.config import SplatConfig
+
+
+def bin_events(x, y, weight, window_ptr, reduction, image_out) -> None:
+    """Count events into pixels of ``reduction`` px; accumulates."""
+    scale = x.dtype.type(1.0 / reduction)
+    half = x.dtype.type(0.5)
+    _, height, width = image_out.shape
+    column = np.floor((x + half) * scale)
+    row = np.floor((y + half) * scale)
+    use = (row >= 0) & (column >= 0) & (row < height) & (column < width)
+    window = _window_of_event(window_ptr, len(x))
+    np.add.at(image_out, (window[use], row[use].astype(int), column[use].astype(int)), weight[use])
+
+
+def splat_events(x, y, t, weight, window_ptr, motion, lag, frame, image_out, cfg: SplatConfig) -> None:
+    """Scatter transported events as splats; accumulates."""
+    taps = _taps(x, y, t, weight, window_ptr, motion, lag, frame, image_out.shape, cfg)
+    ahead = taps.g_x - taps.lag_x * taps.s_x
+    value = (
+        ahead[:, None, :] * taps.g_y[:, :, None]
+        - taps.lag_y[:, None] * taps.g_x[:, None, :] * taps.s_y[:, :, None]
+    )
+    value = weight[taps.event, None, None] * value
+    inside = np.broadcast_to(taps.inside, value.shape)
+    window, row, column = (
+        np.broadcast_to(k, value.shape)[inside] for k in (taps.window, taps.row, taps.column)
+    )
+    np.add.at(image_out, (window, row, column), value[inside])
+
+
+def splat_events_adjoint(
+    x, y, t, weight, window_ptr, motion, lag, frame, adj_image, chunks_out, adj_weight_out, adj_motion_out,
+    cfg: SplatConfig,
+) -> None:  # fmt: skip
+    """Adjoint of `splat_events` in weight and motion; overwrites."""
+    taps = _taps(x, y, t, weight, window_ptr, motion, lag, frame, adj_image.shape, cfg)
+    row = np.clip(taps.row, 0, adj_image.shape[1] - 1)
+    column = np.clip(taps.column, 0, adj_image.shape[2] - 1)
+    adj = np.where(taps.inside, adj_image[taps.window, row, column], 0)
+    lag_x, lag_y = taps.lag_x, taps.lag_y
+
+    def total(along, across):
+        return np.einsum("eyx,ey,ex->e", adj, across, along)
+
+    adj_weight_out[:] = 0
+    adj_weight_out[taps.event] = total(taps.g_x - lag_x * taps.s_x, taps.g_y) - total(
+        lag_y * taps.g_x, taps.s_y
+    )
+    slope_x = total(taps.s_x - lag_x * taps.c_x, taps.g_y) - total(lag_y * taps.s_x, taps.s_y)
+    slope_y = total(taps.g_x - lag_x * taps.s_x, taps.s_y) - total(lag_y * taps.g_x, taps.c_y)
+    window = taps.window[:, 0, 0]
+    factor = weight[taps.event] * t[taps.event] / frame[window, 2]
+    adj_motion_out[:] = 0
+    np.add.at(adj_motion_out, window, factor[:, None] * np.stack([slope_x, slope_y], axis=1))
+
+
+def splat_profile(r: NDArray, cfg: SplatConfig) -> tuple[NDArray, NDArray, NDArray]:
+    """g, g' and g'' of `SplatConfig` at r; zero outside the radius."""
+    inverse_variance, inverse_radius_sq = 1.0 / cfg.epsilon_px**2, 1.0 / cfg.radius_px**2
+    q = 1.0 - r * r * inverse_radius_sq
+    gauss = np.where(q > 0, cfg.norm * np.exp(-0.5 * r * r * inverse_variance), 0.0)
+    rate = q * inverse_variance + 4.0 * inverse_radius_sq
+    second = (r * r * inverse_variance - 1.0) * q * rate
+    second += 2.0 * r * r * inverse_radius_sq * (2.0 * q * inverse_variance + 4.0 * inverse_radius_sq)
+    values = (gauss * q * q, -r * gauss * q * rate, gauss * second)
+    return values[0].astype(r.dtype), values[1].astype(r.dtype), values[2].astype(r.dtype)
+
+
+class _Taps(NamedTuple):
+    """The T x T pixels around each event that can touch the image: V events, T taps an axis."""
+
+    event: NDArray  # (V,) index of the event
+    window: NDArray  # (V, 1, 1)
+    row: NDArray  # (V, T, 1)
+    column: NDArray  # (V, 1, T)
+    inside: NDArray  # (V, T, T)
+    g_x: NDArray  # (V, T) profile along x, its slope and its curvature
+    s_x: NDArray
+    c_x: NDArray
+    g_y: NDArray
+    s_y: NDArray
+    c_y: NDArray
+    lag_x: NDArray  # (V, 1) lag times direction of the motion
+    lag_y: NDArray
+
+
+def _taps(x, y, t, weight, window_ptr, motion, lag, frame, shape, cfg: SplatConfig) -> _Taps:
+    _, height, width = shape
+    half = x.dtype.type(0.5)
+    window = _window_of_event(window_ptr, len(x))
+    m, origin, inverse_scale = motion[window], frame[window, :2], 1 / frame[window, 2]
+    cx = (x - t * m[:, 0] - origin[:, 0] + half) * inverse_scale - half
+    cy = (y - t * m[:, 1] - origin[:, 1] + half) * inverse_scale - half
+    margin = 2 * cfg.reach + 1
+    # also false for NaN
+    event = np.flatnonzero((cx > -margin) & (cy > -margin) & (cx < width + margin) & (cy < height + margin))
+    window, m, cx, cy = window[event], m[event], cx[event], cy[event]
+
+    around = np.arange(-cfg.reach, cfg.reach + 1)
+    column = np.floor(cx + half).astype(int)[:, None] + around
+    row = np.floor(cy + half).astype(int)[:, None] + around
+    speed = np.hypot(m[:, 0], m[:, 1])
+    lag_px = np.where(weight[event] < 0, lag[window, 1], lag[window, 0])
+    lag_px = np.divide(lag_px, speed, out=np.zeros_like(speed), where=speed > 0)
+    row, column = row[:, :, None], column[:, None, :]
+    return _Taps(
+        event,
+        window[:, None, None],
+        row,
+        column,
+        (row >= 0) & (row < height) & (column >= 0) & (column < width),
+        *splat_profile((column[:, 0] - cx[:, None]).astype(x.dtype), cfg),
+        *splat_profile((row[:, :, 0] - cy[:, None]).astype(x.dtype), cfg),
+        (lag_px * m[:, 0])[:, None],
+        (lag_px * m[:, 1])[:, None],
+    )
+
+
+def _window_of_event(window_ptr: NDArray, count: int) -> NDArray:
+    return np.searchsorted(window_ptr, np.arange(count), side="right") - 1

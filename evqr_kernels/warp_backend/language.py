@@ -1,0 +1,34 @@
+"""What the kernel files share: where kernels live, and views that load several neighbours at once."""
+
+from functools import cache
+
+import warp as wp
+
+
+@cache
+def module_of(concept: str, dtype: type) -> wp.Module:
+    """Give the Warp module that a concept's kernels of one precision are compiled into, together."""
+    module = wp.get_module(f"evqr_kernels_{concept}_{dtype.__name__}")
+    module.options["enable_backward"] = False  # the adjoints are written by hand
+    return module
+
+
+@cache
+def vector(length: int, dtype: type) -> type:
+    """Give the vector type; Warp makes a new one each time it is asked."""
+    return wp.types.vector(length=length, dtype=dtype)
+
+
+def neighbours(array: wp.array, count: int) -> wp.array:
+    """View whose element i of the last axis is the vector of entries i to i + count - 1: the elements overlap.
+
+    A kernel cannot know that neighbours in an array lie side by side in memory, a vector's components do: one load and
+    one index computation instead of ``count``, and arithmetic that runs on the CPU's vector units.
+    """
+    return wp.array(
+        ptr=array.ptr,
+        dtype=vector(count, array.dtype),
+        shape=(*array.shape[:-1], max(array.shape[-1] - count + 1, 0)),
+        strides=array.strides,
+        device=array.device,
+    )
