@@ -23,7 +23,7 @@ from .summary import RecordingInfo, summarise
 from .time_unit import PER_SECOND
 from .writing import save_recording
 
-__all__ = ["Recording", "RecordingInfo", "open_recording", "save_recording", "summarise"]
+__all__ = ["Recording", "RecordingInfo", "TimeUnit", "open_recording", "save_recording", "summarise"]
 
 DEFAULT_CHUNK_EVENTS = 1 << 20
 HEAD_BYTES = 4096

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
 from typing import Any
 
 import numpy as np
@@ -11,7 +10,7 @@ from numpy.typing import NDArray
 from ..errors import RecordingError
 from ..types import EventArray
 from .columns import require_columns, require_equal_lengths
-from .source import DeclaredUnit, RawColumns, Source
+from .source import DeclaredUnit, RawChunks, RawColumns, Source
 
 NAME = "arrays"
 
@@ -24,10 +23,14 @@ class ArraySource(Source):
         super().__init__(NAME, format, n_events=require_equal_lengths(lengths, NAME), **known)
         self._columns = columns
 
-    def raw_chunks(self, chunk_events: int) -> Iterator[RawColumns]:
+    def raw_chunks(self, chunk_events: int) -> RawChunks:
         """Yield views."""
         for i in range(0, len(self._columns.t), chunk_events):
             yield RawColumns(*(values[i : i + chunk_events] for values in self._columns))
+
+    def raw_tail(self, count: int) -> RawColumns:
+        """Return views."""
+        return RawColumns(*(values[-count:] for values in self._columns))
 
 
 def open_arrays(source: EventArray | NDArray[Any] | tuple[Any, Any, Any, Any]) -> Source:

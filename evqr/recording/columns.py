@@ -82,12 +82,14 @@ class ColumnChecker:
     convention: {0, 1} and {-1, 1} both are fine, a mixture is not.
     """
 
-    def __init__(self, name: str, sensor: tuple[int, int], unit: TimeUnit, t_offset_us: int = 0) -> None:
+    def __init__(
+        self, name: str, sensor: tuple[int, int], unit: TimeUnit, t_offset_us: int, *, seen: int = 0
+    ) -> None:
         self.name = name
         self.width, self.height = sensor
         self.unit: TimeUnit = unit
         self.t_offset_us = t_offset_us
-        self.seen = 0
+        self.seen = seen
         self._dark_value: int | None = None
 
     def __call__(self, raw: RawColumns) -> EventArray:

@@ -5,13 +5,12 @@ from __future__ import annotations
 import os
 import shutil
 import tempfile
-from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
 from ..errors import RecordingError
 from .extras import required
-from .source import DeclaredUnit, RawColumns, Source, explained
+from .source import DeclaredUnit, RawChunks, RawColumns, Source, explained
 
 IN_US = DeclaredUnit("us", "the format is in us")
 
@@ -63,7 +62,7 @@ class EventcvSource(Source):
             n_events = file.reader(1).n_events
         super().__init__(name, format, sensor=sensor, n_events=n_events, unit=IN_US)
 
-    def raw_chunks(self, chunk_events: int) -> Iterator[RawColumns]:
+    def raw_chunks(self, chunk_events: int) -> RawChunks:
         """Decode slices of ``chunk_events``."""
         left = self.n_events or 0
         with explained(self.name, f"{self.format} data"):
@@ -73,6 +72,14 @@ class EventcvSource(Source):
                 raw = slice_columns(reader, i, min(chunk_events, left), self.name)
             left -= len(raw.t)
             yield raw
+
+    def raw_tail(self, count: int) -> RawColumns | None:
+        """Decode the last slice, which may be shorter than ``count``."""
+        if not self.n_events:
+            return None
+        with explained(self.name, f"{self.format} data"):
+            reader = self._file.reader(count)
+            return slice_columns(reader, reader.n_slices - 1, (self.n_events - 1) % count + 1, self.name)
 
     def close(self) -> None:
         """Close the file."""

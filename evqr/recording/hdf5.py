@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any
 
@@ -11,7 +11,7 @@ import numpy as np
 
 from ..errors import MissingExtra, RecordingError
 from .columns import find_columns, require_columns, require_equal_lengths
-from .source import DeclaredUnit, RawColumns, Source, TimeUnit, explained
+from .source import DeclaredUnit, RawChunks, RawColumns, Source, TimeUnit, explained
 
 ECF_FILTER = 0x8ECF  # Prophesee's own compression; no free Python package decodes it
 MAX_CHUNK_BYTES = 1 << 28  # a larger one is damage: it could not be read in bounded memory
@@ -51,14 +51,14 @@ class Hdf5Source(Source):
                 self._layout = _find_layout(self._file, path)
                 for dataset in self._layout.datasets:
                     _check_readable(dataset, path)
+                self._length = require_equal_lengths(
+                    {column: dataset.shape[0] for column, (dataset, _) in self._layout.columns.items()}, path
+                )
                 super().__init__(
                     path,
                     f"HDF5 {self._layout.words}",
                     sensor=_sensor(self._file, self._layout, path),
-                    n_events=require_equal_lengths(
-                        {column: dataset.shape[0] for column, (dataset, _) in self._layout.columns.items()},
-                        path,
-                    ),
+                    n_events=self._length,
                     unit=_unit(self._file, self._layout, path),
                     t_offset_us=_dsec_offset(self._file),
                 )
@@ -66,19 +66,23 @@ class Hdf5Source(Source):
             self._file.close()
             raise
 
-    def raw_chunks(self, chunk_events: int) -> Iterator[RawColumns]:
+    def raw_chunks(self, chunk_events: int) -> RawChunks:
         """Read slices of the datasets."""
-        columns = self._layout.columns
-        for i in range(0, self.n_events or 0, chunk_events):
-            with explained(self.name, "HDF5 file"):
-                slices = {_name(dataset): dataset[i : i + chunk_events] for dataset in self._layout.datasets}
-                raw = RawColumns(
-                    *(
-                        slices[_name(dataset)] if field is None else slices[_name(dataset)][field]
-                        for dataset, field in (columns[column] for column in "txyp")
-                    )
-                )
-            yield raw
+        for first in range(0, self._length, chunk_events):
+            yield self._read(first, first + chunk_events)
+
+    def raw_tail(self, count: int) -> RawColumns:
+        """Read the last slice."""
+        return self._read(max(0, self._length - count), self._length)
+
+    def _read(self, first: int, last: int) -> RawColumns:
+        with explained(self.name, "HDF5 file"):
+            # A compound dataset holds all columns and is read once.
+            slices = {_name(dataset): dataset[first:last] for dataset in self._layout.datasets}
+            columns = (self._layout.columns[column] for column in "txyp")
+            return RawColumns(
+                *(slices[_name(dataset)][... if field is None else field] for dataset, field in columns)
+            )
 
     def close(self) -> None:
         """Close the file."""

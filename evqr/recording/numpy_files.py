@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 
 from ..errors import RecordingError
 from .columns import find_columns, require_columns, require_equal_lengths
-from .source import DeclaredUnit, RawColumns, Source, explained
+from .source import DeclaredUnit, RawChunks, RawColumns, Source, explained
 
 MAX_SCALAR_BYTES = 4096
 
@@ -29,7 +29,7 @@ class NpySource(Source):
             self._fields = require_columns(header.names, path, "the structured array")
         super().__init__(path, "NumPy structured array (.npy)", n_events=header.length)
 
-    def raw_chunks(self, chunk_events: int) -> Iterator[RawColumns]:
+    def raw_chunks(self, chunk_events: int) -> RawChunks:
         """Read record by record."""
         with open(self.name, "rb") as file:
             yield from _structured_chunks(file, self._fields, chunk_events, self.name, "NumPy file")
@@ -70,7 +70,7 @@ class NpzSource(Source):
                 unit = DeclaredUnit("us", "time_unit in the file says us")
         super().__init__(path, words, sensor=sensor, n_events=length, unit=unit)
 
-    def raw_chunks(self, chunk_events: int) -> Iterator[RawColumns]:
+    def raw_chunks(self, chunk_events: int) -> RawChunks:
         """Decompress the columns side by side."""
         with ExitStack() as stack:
             with explained(self.name, "npz file"):

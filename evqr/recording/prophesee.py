@@ -8,13 +8,12 @@ from __future__ import annotations
 
 import os
 import tempfile
-from collections.abc import Iterator
 from pathlib import Path
 
 from ..errors import RecordingError
 from .eventcv_source import IN_US, EventcvFile, EventcvSource, slice_columns
 from .extras import required
-from .source import RawColumns, Source, explained
+from .source import RawChunks, RawColumns, Source, explained
 
 MAX_HEADER_BYTES = 1 << 16
 
@@ -112,7 +111,7 @@ class Evt3Source(Source):
         self._start = header.size
         _words(path, self._start, EVT3_WORD_BYTES)
 
-    def raw_chunks(self, chunk_events: int) -> Iterator[RawColumns]:
+    def raw_chunks(self, chunk_events: int) -> RawChunks:
         """Decode a word an event, which is about what scenes take."""
         decoder = self._evt3.Decoder()
         with open(self.name, "rb") as file:
@@ -146,11 +145,12 @@ class DatSource(Source):
         n_events = _words(path, self._start, DAT_RECORD_BYTES)
         super().__init__(path, "Prophesee DAT", sensor=header.sensor, n_events=n_events, unit=IN_US)
         required("eventcv", path, self.format)
+        self._folder = tempfile.TemporaryDirectory(prefix="evqr-")
 
-    def raw_chunks(self, chunk_events: int) -> Iterator[RawColumns]:
+    def raw_chunks(self, chunk_events: int) -> RawChunks:
         """Decode pieces of ``chunk_events`` records."""
-        with tempfile.TemporaryDirectory(prefix="evqr-") as folder, open(self.name, "rb") as file:
-            piece = Path(folder) / "piece.dat"
+        piece = Path(self._folder.name) / "piece.dat"
+        with open(self.name, "rb") as file:
             head = file.read(self._start)
             while records := file.read(chunk_events * DAT_RECORD_BYTES):
                 piece.write_bytes(head + records)
@@ -158,3 +158,7 @@ class DatSource(Source):
                     reader = EventcvFile(str(piece), ".dat", self.format, DAT_ADDRESSES).reader(chunk_events)
                     raw = slice_columns(reader, 0, len(records) // DAT_RECORD_BYTES, self.name)
                 yield raw
+
+    def close(self) -> None:
+        """Remove the last piece."""
+        self._folder.cleanup()

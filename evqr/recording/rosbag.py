@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 
 from ..errors import RecordingError
 from .extras import required
-from .source import DeclaredUnit, RawColumns, Source, explained
+from .source import DeclaredUnit, RawChunks, RawColumns, Source, explained
 
 PACKET_TYPE = "event_camera_msgs/msg/EventPacket"
 ARRAY_TYPE = "dvs_msgs/msg/EventArray"
@@ -67,7 +67,7 @@ class BagSource(Source):
             if connection.msgtype in (PACKET_TYPE, ARRAY_TYPE):
                 yield _parse_packet(raw) if self._packets else _parse_array(raw)
 
-    def raw_chunks(self, chunk_events: int) -> Iterator[RawColumns]:
+    def raw_chunks(self, chunk_events: int) -> RawChunks:
         """Join messages until there are ``chunk_events``."""
         decoder = self._evt3.Decoder() if self._packets else None
         parts: list[RawColumns] = []

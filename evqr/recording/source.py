@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
-from collections.abc import Iterator
+from collections.abc import Generator, Iterator
 from contextlib import contextmanager
 from typing import Any, Literal, NamedTuple
 
@@ -21,6 +21,10 @@ class RawColumns(NamedTuple):
     x: NDArray[Any]
     y: NDArray[Any]
     p: NDArray[Any]
+
+
+RawChunks = Generator[RawColumns, None, None]
+"""All events, a piece at a time; a generator, to be closed by who stops early."""
 
 
 class DeclaredUnit(NamedTuple):
@@ -63,8 +67,12 @@ class Source(ABC):
         self.warnings: list[str] = []
 
     @abstractmethod
-    def raw_chunks(self, chunk_events: int) -> Iterator[RawColumns]:
+    def raw_chunks(self, chunk_events: int) -> RawChunks:
         """All events from the first on, about ``chunk_events`` at a time; can be called again."""
+
+    def raw_tail(self, count: int) -> RawColumns | None:
+        """Return the last ``count`` events, where they can be had without reading all before them."""
+        return None
 
     def close(self) -> None:  # noqa: B027  (most sources hold nothing open between chunks)
         """Release files; harmless when called twice."""

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
+from contextlib import closing
 from types import TracebackType
 
 import numpy as np
@@ -26,7 +27,8 @@ class Recording:
     format : str                      in words, such as "HDF5 events/{t,x,y,p}"
     width, height : int [px]          sensor size
     n_events : int | None             None until known
-    t_first_us, t_last_us : int|None  first and last time stamp [us]; None until streamed
+    t_first_us, t_last_us : int|None  first and last time stamp [us]; None until streamed, but the last is
+                                      known at once where the source can look at its end
     time_unit, time_unit_reason : str unit of the stored stamps, and how it is known
     warnings : list[str]              what was odd; grows while streaming
     """
@@ -50,7 +52,8 @@ class Recording:
         self.warnings = list(source.warnings)
 
         # The first chunk of a vendor file may hold nothing but trigger words.
-        first = next((raw for raw in source.raw_chunks(SAMPLE_EVENTS) if len(raw.t)), None)
+        with closing(source.raw_chunks(SAMPLE_EVENTS)) as raw_chunks:
+            first = next((raw for raw in raw_chunks if len(raw.t)), None)
         if first is None:
             raise RecordingError(f"{source.name}: the recording is empty: {source.format} with 0 events")
         self.width, self.height = check_sensor(sensor or source.sensor, source.name)
@@ -68,6 +71,16 @@ class Recording:
                 self.warnings.append(
                     f"times are stored as float32, which tells no less than {step_us:.2g} us apart"
                 )
+
+        tail = source.raw_tail(SAMPLE_EVENTS)
+        if tail is not None:
+            checker = self._checker(seen=(self.n_events or 0) - len(tail.t))
+            self.t_last_us = int(checker(tail).t.max())
+
+    def _checker(self, *, seen: int = 0) -> ColumnChecker:
+        source = self._source
+        sensor = self.width, self.height
+        return ColumnChecker(source.name, sensor, self.time_unit, source.t_offset_us, seen=seen)
 
     def _unit(self, first: RawColumns, asked: TimeUnit | None) -> DeclaredUnit:
         declared = self._source.unit
@@ -90,16 +103,15 @@ class Recording:
         ------
         RecordingError   at the first event that is wrong
         """
-        source = self._source
-        checker = ColumnChecker(source.name, (self.width, self.height), self.time_unit, source.t_offset_us)
-        disorder = Disorder()
-        checked = (checker(raw) for raw in source.raw_chunks(self._chunk_events) if len(raw.t))
+        name, checker, disorder = self._source.name, self._checker(), Disorder()
         last = None
-        for chunk in in_order(checked, self._chunk_events, disorder, source.name):
-            if last is None:
-                self.t_first_us = int(chunk.t[0])
-            last = int(chunk.t[-1])
-            yield chunk
+        with closing(self._source.raw_chunks(self._chunk_events)) as raw_chunks:
+            checked = (checker(raw) for raw in raw_chunks if len(raw.t))
+            for chunk in in_order(checked, self._chunk_events, disorder, name):
+                if last is None:
+                    self.t_first_us = int(chunk.t[0])
+                last = int(chunk.t[-1])
+                yield chunk
         self.n_events = checker.seen
         self.t_last_us = last
         if disorder.late_events:

@@ -13,7 +13,7 @@ import numpy as np
 
 from ..errors import RecordingError
 from .columns import require_columns
-from .source import RawColumns, Source, explained
+from .source import RawChunks, RawColumns, Source, explained
 
 COMMENTS = ("#", "%")
 ORDER = ("t", "x", "y", "p")
@@ -38,7 +38,7 @@ class TextSource(Source):
         separator = "commas" if self._head.comma else "spaces"
         super().__init__(path, f"text {' '.join(self._head.order)}, {separator}", sensor=self._head.sensor)
 
-    def raw_chunks(self, chunk_events: int) -> Iterator[RawColumns]:
+    def raw_chunks(self, chunk_events: int) -> RawChunks:
         """Parse ``chunk_events`` lines at a time."""
         head = self._head
         # Whole times keep all their 64 bits; as float64 a stamp in ns since 1970 would lose its last digits.

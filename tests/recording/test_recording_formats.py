@@ -39,6 +39,19 @@ def test_saved_recordings_need_no_option(tmp_path, events, suffix):
         assert recording.time_unit == "us"
 
 
+@pytest.mark.parametrize("kind", ["h5", "arrays"])
+def test_the_end_is_known_at_once_where_it_can_be_looked_at(tmp_path, kind):
+    events = make_events(100_000)
+    t = events.t.copy()
+    t[[-1, -2]] = t[-1], t[-1] + 5
+    events = EventArray(t, events.x, events.y, events.p, WIDTH, HEIGHT)
+    WRITERS["h5"](tmp_path / "a", events)
+    with open_recording(events if kind == "arrays" else tmp_path / "a") as recording:
+        assert recording.t_last_us == t.max()
+        recording.read()
+        assert recording.t_last_us == t.max()
+
+
 def test_saved_truth_has_the_layout_of_the_development_recordings(tmp_path, events):
     truth = {"payload": "LOT-1", "version": 2, "modules": np.eye(25, dtype=np.uint8), "t_us": np.arange(3)}
     save_recording(tmp_path / "a.h5", events, truth=truth)

@@ -44,9 +44,9 @@ def test_truncated(tmp_path, kind, events):
 
 def test_events_outside_the_sensor_are_not_dropped(tmp_path, kind, events):
     write(kind, tmp_path / "a", events)
-    with open_recording(tmp_path / "a", sensor=(WIDTH - 1, HEIGHT)) as recording:
-        with pytest.raises(RecordingError, match=r"x 63 of event \d+ is outside the 63x48 sensor"):
-            recording.read()
+    outside = pytest.raises(RecordingError, match=r"x 63 of event \d+ is outside the 63x48 sensor")
+    with outside, open_recording(tmp_path / "a", sensor=(WIDTH - 1, HEIGHT)) as recording:
+        recording.read()
 
 
 def test_missing_package(tmp_path, kind, events, monkeypatch):
