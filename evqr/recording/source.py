@@ -45,7 +45,6 @@ class Source(ABC):
     n_events       events in the file if it tells, else None
     unit           unit of the stored times if the file or format tells, else None
     t_offset_us    to be added to every time stamp [us]
-    warnings       what is odd about the file itself
     """
 
     def __init__(
@@ -64,7 +63,6 @@ class Source(ABC):
         self.n_events = n_events
         self.unit = unit
         self.t_offset_us = t_offset_us
-        self.warnings: list[str] = []
 
     @abstractmethod
     def raw_chunks(self, chunk_events: int) -> RawChunks:

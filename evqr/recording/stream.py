@@ -49,7 +49,7 @@ class Recording:
         self.n_events = source.n_events
         self.t_first_us: int | None = None
         self.t_last_us: int | None = None
-        self.warnings = list(source.warnings)
+        self.warnings: list[str] = []
 
         # The first chunk of a vendor file may hold nothing but trigger words.
         with closing(source.raw_chunks(SAMPLE_EVENTS)) as raw_chunks:
@@ -62,6 +62,7 @@ class Recording:
             self.warnings.append(
                 f"the file says the sensor is {told}; {self.width}x{self.height} was asked for"
             )
+        check_times(first.t, source.name)
         unit = self._unit(first, time_unit)
         self.time_unit: TimeUnit = unit.unit
         self.time_unit_reason = unit.reason
@@ -90,7 +91,6 @@ class Recording:
             return DeclaredUnit(asked, "as asked")
         if declared is not None:
             return declared
-        check_times(first.t, self._source.name)
         return decide_time_unit(first.t, (self.width, self.height), self._source.name)
 
     def chunks(self) -> Iterator[EventArray]:
