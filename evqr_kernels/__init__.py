@@ -1,7 +1,7 @@
 """Array-in, array-out kernels for event cameras and planar codes.
 
-Two doors: the functions below check their arguments and may allocate; the methods of `get_backend` with the same names write to
-buffers that you own, unchecked.  Importing the package loads no backend.
+Two doors: the functions below check their arguments and may allocate; the methods of `get_backend` with the
+same names write to buffers that you own, unchecked.  Importing the package loads no backend.
 """
 
 from evqr_kernels.backend import (

@@ -1,7 +1,7 @@
-"""Which code runs the kernels: the interface of a backend, and the registry that loads one when it is asked for.
+"""Which code runs the kernels: the interface of a backend, and the registry that loads one on demand.
 
-A backend is unchecked and writes into buffers that the caller owns: the hot path.  ``evqr_kernels.ops`` is the other
-door, which checks and may allocate.
+A backend is unchecked and writes into buffers that the caller owns: the hot path.  ``evqr_kernels.ops`` is
+the other door, which checks and may allocate.
 """
 
 from __future__ import annotations
@@ -16,7 +16,8 @@ from numpy.typing import DTypeLike, NDArray
 from evqr_kernels.config import DEFAULT_KERNELS, KernelSet, SplatConfig
 
 AUTO = "warp"
-"""What "auto" stands for: compiled kernels on every CPU, and on NVIDIA GPUs.  There is no silent second choice."""
+"""What "auto" stands for: compiled kernels on every CPU, and on NVIDIA GPUs.  There is no silent second
+choice."""
 
 Array = Any
 """An array of the backend's own kind: NumPy's, Warp's, ..."""
@@ -25,10 +26,11 @@ _log = logging.getLogger(__name__)
 
 
 class KernelBackend(Protocol):
-    """What every backend offers.  Shapes and units are those of the functions of the same name in `evqr_kernels.ops`.
+    """What every backend offers.  Shapes and units are those of the functions in `evqr_kernels.ops`.
 
-    Outputs come last and end in ``_out`` (overwritten, unless the method says that it accumulates) or ``_inout``; those
-    called rows, chunks or scratch hold partial sums, so that no result depends on the order of threads.
+    Outputs come last and end in ``_out`` (overwritten, unless the method says that it accumulates) or
+    ``_inout``; those called rows, chunks or scratch hold partial sums, so that no result depends on the order
+    of threads.
     """
 
     name: str
@@ -99,7 +101,7 @@ class KernelBackend(Protocol):
     def correlate_templates(
         self, image: Array, bank: Array, disc: Array, floor: Array, response_out: Array, angle_out: Array
     ) -> None:
-        """Correlate an image, padded by n - 1, with a bank of n x n templates; the width must be a multiple of 4."""
+        """Correlate with a bank of n x n templates; image = response + n - 1, response at least 4 wide."""
         ...
 
     def sample_moments(
@@ -127,7 +129,7 @@ class KernelBackend(Protocol):
         self, rhs: Array, stencil: Array, damping: Array, free: Array, q_inout: Array,
         scratch: tuple[Array, ...], iterations_out: Array, *, max_iterations: int, tolerance: float,
     ) -> None:  # fmt: skip
-        """Conjugate gradients over the free modules; ``scratch`` is four (B, M, M) and two (B, 4, M) arrays."""
+        """Conjugate gradients over free modules; ``scratch`` is four (B, M, M) and two (B, 4, M)."""
         ...
 
     def render_affine(self, grid: Array, affine: Array, outside: Array, image_out: Array) -> None:
@@ -196,8 +198,8 @@ def register_backend(name: str, target: str) -> None:
     name
         What `get_backend` shall know it by; "auto" is taken.
     target
-        ``"module:attribute"``, imported when the backend is first asked for; the attribute is called without arguments
-        and returns a `KernelBackend`.
+        ``"module:attribute"``, imported when the backend is first asked for; the attribute is called without
+        arguments and returns a `KernelBackend`.
 
     Raises
     ------
@@ -263,5 +265,5 @@ def require_device(backend: KernelBackend, device: str) -> None:
     """Raise ValueError, with the devices there are, unless the backend has this one."""
     if device not in backend.devices():
         raise ValueError(
-            f"device must be one that {backend.name} has here ({', '.join(backend.devices())}), got {device!r}"
+            f"device of {backend.name} must be one of {', '.join(backend.devices())}, got {device!r}"
         )

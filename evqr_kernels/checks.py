@@ -11,7 +11,7 @@ Extent = str | int
 
 
 class ArrayChecks:
-    """Checks the arrays of one call against each other: letters bind to the first size, floats to the first dtype."""
+    """Checks of one call's arrays against each other: letters bind to the first size, floats to a dtype."""
 
     def __init__(self) -> None:
         self.sizes: dict[str, int] = {}

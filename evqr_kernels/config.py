@@ -9,8 +9,9 @@ from dataclasses import dataclass
 class SplatConfig:
     """Shape of an event's splat: a Gaussian that a polynomial takes to zero, smoothly, at ``radius_px``.
 
-    In one axis ``g(r) = exp(-r^2 / (2 epsilon^2)) (1 - (r / radius)^2)^2 / c`` for ``|r| < radius``, with c such that the
-    integral is 1.  A Gaussian that is just cut off makes the cost jump when an event crosses the cut.
+    In one axis ``g(r) = exp(-r^2 / (2 epsilon^2)) (1 - (r / radius)^2)^2 / c`` for ``|r| < radius``, with c
+    such that the integral is 1.  A Gaussian that is just cut off makes the cost jump when an event crosses
+    the cut.
 
     Attributes
     ----------

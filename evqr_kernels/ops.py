@@ -1,7 +1,8 @@
 """The checked door: functions on NumPy arrays that check, choose a backend, allocate, and compute.
 
-All arrays of a call are float32, or all float64; index arrays are int32.  Each function takes ``backend`` (a name for
-`evqr_kernels.backend.get_backend`) and ``device`` ("cpu", "cuda:0", ...; by default the backend's first), and raises
+All arrays of a call are float32, or all float64; index arrays are int32.  Each function takes ``backend`` (a
+name for `evqr_kernels.backend.get_backend`) and ``device`` ("cpu", "cuda:0", ...; by default the backend's
+first), and raises
 
 TypeError            an array that is not NumPy's, or of the wrong dtype
 ValueError           a wrong shape, range, name or device
@@ -50,7 +51,7 @@ class _Launch:
     def scratch(self, *shape: int) -> Any:
         return self.backend.empty(shape, self.dtype, self.device)
 
-    def result(self, out: NDArray[Any] | None, *shape: int, dtype: DTypeLike = None) -> Any:
+    def result(self, out: NDArray[Any] | None, *shape: int, dtype: DTypeLike | None = None) -> Any:
         """Give the device array of a result: the contents of ``out``, which gets the result, or zeros."""
         host = np.zeros(shape, dtype or self.dtype) if out is None else out
         on_device = self.backend.from_host(host, self.device)
@@ -255,8 +256,8 @@ def correlate_templates(
 
 
 def sample_moments(
-    image: Floats, image_idx: Ints, pose: Floats, points: Floats, table: Floats, *, active: Ints | None = None,
-    backend: str = "auto", device: str | None = None,
+    image: Floats, image_idx: Ints, pose: Floats, points: Floats, table: Floats, *,
+    active: Ints | None = None, backend: str = "auto", device: str | None = None,
 ) -> Floats:  # fmt: skip
     """Moments of images seen through poses: ``sum_s e_s table[s]`` and ``sum_s e_s^2``.
 
@@ -442,8 +443,8 @@ def render_affine_adjoint(
 
 
 def brightness_residual(
-    luminance: Floats, events_image: Floats, motion: Floats, *, out: Floats | None = None, backend: str = "auto",
-    device: str | None = None,
+    luminance: Floats, events_image: Floats, motion: Floats, *, out: Floats | None = None,
+    backend: str = "auto", device: str | None = None,
 ) -> Floats:  # fmt: skip
     """Slope of the luminance along the motion, by central differences, plus the image of events.
 
@@ -511,7 +512,7 @@ def _check_splat(
     checks: ArrayChecks, x: Floats, y: Floats, t: Floats, weight: Floats, window_ptr: Ints, motion: Floats,
     lag: Floats | None, frame: Floats | None,
 ) -> tuple[Floats, Floats]:  # fmt: skip
-    """Check the arguments that `splat_events` and its adjoint share; give lag and frame, or what stands for them."""
+    """Check what `splat_events` and its adjoint share; give lag and frame, or what stands for them."""
     _check_events(checks, x=x, y=y, t=t, weight=weight, window_ptr=window_ptr)
     checks.floats("motion", motion, "B", 2)
     lag = np.zeros_like(motion) if lag is None else lag

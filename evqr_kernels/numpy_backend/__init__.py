@@ -36,7 +36,7 @@ class NumpyBackend:
     brightness_residual_adjoint = staticmethod(residual.brightness_residual_adjoint)
 
     def devices(self) -> tuple[str, ...]:
-        """The CPU only."""
+        """Name the CPU, the only one."""
         return ("cpu",)
 
     def empty(self, shape: tuple[int, ...], dtype: DTypeLike, device: str) -> NDArray[Any]:

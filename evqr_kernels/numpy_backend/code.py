@@ -24,7 +24,7 @@ def code_rhs(
 
 
 def _along_axis(profile: NDArray, samples: int, modules: int, samples_a_module: int) -> NDArray:
-    """(samples, modules) matrix with the profile of each module in its column."""
+    """Make the (samples, modules) matrix with the profile of each module in its column."""
     matrix = np.zeros((samples, modules), profile.dtype)
     for j in range(modules):
         first = j * samples_a_module - (len(profile) - samples_a_module) // 2

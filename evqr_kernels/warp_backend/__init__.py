@@ -1,7 +1,7 @@
 """The Warp backend: buffers, devices and dispatch; the mathematics is in the files beside this one.
 
-A launch on the CPU is one plain loop on the calling thread with the GIL released, so disjoint windows run on as many Python
-threads as the caller likes (call `WarpBackend.load` before they start).
+A launch on the CPU is one plain loop on the calling thread with the GIL released, so disjoint windows run on
+as many Python threads as the caller likes (call `WarpBackend.load` before they start).
 """
 
 import contextlib
@@ -126,7 +126,7 @@ def _modules(kernels: KernelSet, device: str) -> list[wp.Module]:
 
 @contextlib.contextmanager
 def _without_driver_warning() -> Iterator[None]:
-    """Hold back one line of native code: a machine without a GPU is no reason for a warning.  Others are passed on."""
+    """Hold back one line that native code prints: a machine without a GPU is no reason for a warning."""
     try:
         sys.stderr.flush()
         kept = os.dup(2)

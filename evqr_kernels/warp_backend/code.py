@@ -1,12 +1,13 @@
 """Stage two's right-hand side.
 
-The model of the residual image in code coordinates is ``A q = a_u B q B'^T + a_v B' q B^T`` (rows v, columns u), with B the
-module profile sampled K times a module and B' its derivative.  With E the image sampled on the same lattice under a pose:
+The model of the residual image in code coordinates is ``A q = a_u B q B'^T + a_v B' q B^T`` (rows v, columns
+u), with B the module profile sampled K times a module and B' its derivative.  With E the image sampled on the
+same lattice under a pose:
 
     rhs = A^T E = a_u B^T (E B') + a_v B'^T (E B)
 
-``sample_rows`` samples one row of the lattice and folds it with the two profiles at once, ``fold_columns`` finishes.  The
-profile covers the module it belongs to and as many samples before as after.
+``sample_rows`` samples one row of the lattice and folds it with the two profiles at once, ``fold_columns``
+finishes.  The profile covers the module it belongs to and as many samples before as after.
 """
 
 from functools import cache
@@ -62,7 +63,8 @@ def make_sample_rows(dtype: type) -> wp.Kernel:
 def make_fold_columns(dtype: type, block: int) -> wp.Kernel:
     """Build the second pass; launch: one thread per (window, row of modules, block of modules).
 
-    The last block of a row ends with the row and may overlap the one before: the same modules with the same result.
+    The last block of a row ends with the row and may overlap the one before: the same modules with the same
+    result.
     """
     vec_block = vector(block, dtype)
 

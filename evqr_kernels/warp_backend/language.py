@@ -20,10 +20,10 @@ def vector(length: int, dtype: type) -> type:
 
 
 def neighbours(array: wp.array, count: int) -> wp.array:
-    """View whose element i of the last axis is the vector of entries i to i + count - 1: the elements overlap.
+    """View whose element i of the last axis is the vector of entries i to i + count - 1: they overlap.
 
-    A kernel cannot know that neighbours in an array lie side by side in memory, a vector's components do: one load and
-    one index computation instead of ``count``, and arithmetic that runs on the CPU's vector units.
+    A kernel cannot know that neighbours in an array lie side by side in memory, a vector's components do: one
+    load and one index computation instead of ``count``, and arithmetic that runs on the CPU's vector units.
     """
     return wp.array(
         ptr=array.ptr,

@@ -2,8 +2,8 @@
 
     correlation(b, j, i) = sum_{y, x} first(b, y, x) second(b, y + j - R, x + i - R),        R = radius
 
-Images of events are mostly empty, so a row of ``first`` visits only its non-zero pixels.  Each row owns its sums; a second
-pass adds the rows up, so the result does not depend on the order of the threads.
+Images of events are mostly empty, so a row of ``first`` visits only its non-zero pixels.  Each row owns its
+sums; a second pass adds the rows up, so the result does not depend on the order of the threads.
 """
 
 from functools import cache
@@ -18,7 +18,7 @@ BLOCK = 8
 
 @cache
 def make_correlate_rows(dtype: type) -> wp.Kernel:
-    """Build the first pass; launch: one thread per row.  ``.._blocks`` hold `BLOCK` neighbours of the same array."""
+    """Build the first pass; launch: one thread per row.  ``.._blocks``: `neighbours` of the same array."""
     vec_block = vector(BLOCK, dtype)
 
     @wp.kernel(module=module_of("motion", dtype))
@@ -43,8 +43,9 @@ def make_correlate_rows(dtype: type) -> wp.Kernel:
             if value != dtype(0.0):
                 left = x - radius
                 top = y - radius
-                begin = int(0)
-                # where the square of shifts lies inside the image: blocks of shifts, and then the few that are left
+                begin = wp.int32(0)
+                # where the square of shifts lies inside the image: blocks of shifts, and then the few that
+                # are left
                 if left >= 0 and left + shifts <= width:
                     begin = whole
                     for j in range(wp.max(0, -top), wp.min(shifts, height - top)):

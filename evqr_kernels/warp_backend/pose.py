@@ -1,14 +1,14 @@
 """Moments of an image seen through a pose: all that stage one needs of the data.
 
-A pose is a homography P (row-major, 9 numbers) from code coordinates (u, v) to image pixels.  For points s with code
-coordinates ``points[s]`` and a table of C model functions known beforehand:
+A pose is a homography P (row-major, 9 numbers) from code coordinates (u, v) to image pixels.  For points s
+with code coordinates ``points[s]`` and a table of C model functions known beforehand:
 
     e_s        = image(P(points[s]))                       bilinear, 0 outside the image
     moments[c] = sum_s e_s table[s, c],  c < C;            moments[C] = sum_s e_s^2
 
-The Gauss-Newton matrix of an inverse-compositional step does not depend on the image, so these C + 1 numbers are the whole
-data term.  Points are cut into as many chunks as the scratch buffer has, each with one owner, and added up in a second pass:
-no atomics, deterministic.
+The Gauss-Newton matrix of an inverse-compositional step does not depend on the image, so these C + 1 numbers
+are the whole data term.  Points are cut into as many chunks as the scratch buffer has, each with one owner,
+and added up in a second pass: no atomics, deterministic.
 
 Adjoint in the image, with beta_s(x) the bilinear weight of pixel x at P(points[s]):
 

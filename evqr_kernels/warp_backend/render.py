@@ -1,7 +1,7 @@
 """Image of a grid of modules under an affine map.
 
-A pixel (x, y) looks at the grid at ``u = W_0 x + W_1 y + W_2``, ``v = W_3 x + W_4 y + W_5``, integers being the nodes (module
-centres), bilinearly between them; beyond the grid every node is ``outside``:
+A pixel (x, y) looks at the grid at ``u = W_0 x + W_1 y + W_2``, ``v = W_3 x + W_4 y + W_5``, integers being
+the nodes (module centres), bilinearly between them; beyond the grid every node is ``outside``:
 
     image(y, x) = sum_{j, i} q(j, i) hat(v - j) hat(u - i),        hat(s) = max(0, 1 - |s|)
 
@@ -11,7 +11,8 @@ With ``outside`` 0 this is equation 5 of the paper.  Adjoint, for adj = d loss /
     adj_W_0..2     = sum_{y, x} adj dimage_du (x, y, 1)
     adj_W_3..5     = sum_{y, x} adj dimage_dv (x, y, 1)
 
-Each node gathers from the pixels that can see it, each row of pixels sums its part of adj_W: no atomics, deterministic.
+Each node gathers from the pixels that can see it, each row of pixels sums its part of adj_W: no atomics,
+deterministic.
 """
 
 from functools import cache
@@ -157,10 +158,11 @@ def make_adjoint_of_grid(dtype: type) -> wp.Kernel:
         w4 = affine[b, 4]
         height = adj_image.shape[1]
         width = adj_image.shape[2]
-        # the square of half side 1 around the node, in the image; all of the image where the map cannot be inverted
-        top = int(0)
+        # the square of half side 1 around the node, in the image; all of the image where the map cannot be
+        # inverted
+        top = wp.int32(0)
         bottom = height
-        left = int(0)
+        left = wp.int32(0)
         right = width
         determinant = w0 * w4 - w1 * w3
         u = dtype(i) - affine[b, 2]

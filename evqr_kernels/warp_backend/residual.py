@@ -2,9 +2,9 @@
 
     residual(y, x) = m_x L_x(y, x) + m_y L_y(y, x) + E(y, x)
 
-with m the motion [px per window], L the luminance, E the image of events and L_x, L_y central differences; beyond the border
-lies the border's own pixel again.  Adjoint, for a = d loss / d residual, continued beyond the border by minus the border's own
-value:
+with m the motion [px per window], L the luminance, E the image of events and L_x, L_y central differences;
+beyond the border lies the border's own pixel again.  Adjoint, for a = d loss / d residual, continued beyond
+the border by minus the border's own value:
 
     adj_L(y, x)  = m_x (a(y, x - 1) - a(y, x + 1)) / 2 + m_y (a(y - 1, x) - a(y + 1, x)) / 2
     adj_m        = sum_{y, x} a (L_x, L_y)

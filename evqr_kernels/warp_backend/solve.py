@@ -1,16 +1,19 @@
 """Stage two's solution: conjugate gradients over the free modules.
 
-A module meets only its near neighbours and all alike, so A^T A is a stencil S of (2 reach + 1)^2 numbers (see ``code``), and
+A module meets only its near neighbours and all alike, so A^T A is a stencil S of (2 reach + 1)^2 numbers (see
+``code``), and
 
     (S + damping I) q = -rhs        on the free modules; the rest of the q that is given stays as it is
 
 is solved from the q that is given until the residual is ``tolerance`` times what it was:
 
-    beta = |r|^2 / |r before|^2;  d = r + beta d;  p = (S + damping I) d;  step = |r|^2 / d.p;  q += step d;  r -= step p
+    beta = |r|^2 / |r before|^2,    d = r + beta d,        p = (S + damping I) d,
+    step = |r|^2 / d.p,             q = q + step d,        r = r - step p
 
-On the CPU one thread solves one window in a single launch (a launch costs as much as an iteration).  On a GPU one thread
-owns one row of modules and an iteration is two launches; each dot product is a sum of row sums that every row adds up for
-itself, so there is no atomic and no host read.  Windows that have converged do nothing in the launches that are left.
+On the CPU one thread solves one window in a single launch (a launch costs as much as an iteration).  On a GPU
+one thread owns one row of modules and an iteration is two launches; each dot product is a sum of row sums
+that every row adds up for itself, so there is no atomic and no host read.  Windows that have converged do
+nothing in the launches that are left.
 """
 
 from functools import cache
@@ -43,7 +46,7 @@ def make_stencil_at(dtype: type) -> wp.Function:
 
 @cache
 def make_solve_windows(dtype: type) -> wp.Kernel:
-    """Build the whole solution; launch: one thread per window.  ``direction_blocks``: `BLOCK` neighbours of direction."""
+    """Build the whole solution; launch: one thread per window.  ``.._blocks``: `neighbours` of direction."""
     vec_block = vector(BLOCK, dtype)
     stencil_at = make_stencil_at(dtype)
 
@@ -78,7 +81,7 @@ def make_solve_windows(dtype: type) -> wp.Kernel:
                 norm += r * r
         enough = tolerance * tolerance * norm
         before = norm
-        iterations = int(0)
+        iterations = wp.int32(0)
         while iterations < max_iterations and norm > enough:
             beta = norm / before
             for i in range(rows):
@@ -86,7 +89,7 @@ def make_solve_windows(dtype: type) -> wp.Kernel:
                     direction_out[b, i, j] = residual_out[b, i, j] + beta * direction_out[b, i, j]
             curvature = dtype(0.0)
             for i in range(rows):
-                j = int(0)
+                j = wp.int32(0)
                 while j < columns:
                     # a whole block whose neighbourhood lies inside the grid, or a single module
                     if i >= reach and i + reach < rows and j >= reach and j + BLOCK + reach <= columns:
@@ -189,7 +192,7 @@ def make_start(dtype: type) -> wp.Kernel:
 
 @cache
 def make_apply(dtype: type) -> wp.Kernel:
-    """Build the new direction and its product with the system; launch: one thread per (window, module row)."""
+    """Build the new direction and its product with the system; launch: one thread per (window, row)."""
     sum_rows = make_sum_rows(dtype)
 
     @wp.kernel(module=module_of("solve_rows", dtype))
@@ -218,7 +221,8 @@ def make_apply(dtype: type) -> wp.Kernel:
                 total = damping[b] * own
                 for k in range(wp.max(-reach, -i), wp.min(reach + 1, free.shape[0] - i)):
                     for m in range(wp.max(-reach, -j), wp.min(reach + 1, free.shape[1] - j)):
-                        # a neighbour's new direction, perhaps not yet written by its owner, is made again here
+                        # a neighbour's new direction, perhaps not yet written by its owner, is made again
+                        # here
                         d = residual[b, i + k, j + m] + beta * direction[b, i + k, j + m]
                         total += stencil[b, k + reach, m + reach] * d
             direction_out[b, i, j] = own

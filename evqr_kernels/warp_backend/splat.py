@@ -2,17 +2,19 @@
 
 ``bin_events`` counts: each event adds its weight to the pixel it falls in, at a reduced resolution.
 
-``splat_events`` transports and splats.  With c_i = (x_i, y_i) - t_i motion, brought to image pixels by the window's origin
-and scale, and d the direction of the motion:
+``splat_events`` transports and splats.  With c_i = (x_i, y_i) - t_i motion, brought to image pixels by the
+window's origin and scale, and d the direction of the motion:
 
-    image(x) += sum_i w_i e_i(x - c_i),     e_i(r) = (1 - lag_i d . grad) N(r),     N(r) = g(r_x) g(r_y)     (SplatConfig)
+    image(x) += sum_i w_i e_i(x - c_i),    e_i(r) = (1 - lag_i d . grad) N(r),    N(r) = g(r_x) g(r_y)
 
-The directional derivative undoes a first-order pixel that lags by ``lag_i`` image px along the motion; ON and OFF events
-(the sign of w_i) have a lag each.  The splat is separable, so it costs one more multiply-add a tap:
+(g: see `SplatConfig`).  The directional derivative undoes a first-order pixel that lags by ``lag_i`` image px
+along the motion; ON and OFF events (the sign of w_i) have a lag each.  The splat is separable, so it costs
+one more multiply-add a tap:
 
     e_i(j, k) = (g_j - lag d_x g'_j) g_k - lag d_y g_j g'_k          (j columns, k rows)
 
-Adjoint, for adj = d loss / d image; lag and direction d are parameters, no derivative is taken with respect to them:
+Adjoint, for adj = d loss / d image; lag and direction d are parameters, no derivative is taken with respect
+to them:
 
     adj_w_i    = sum_x adj(x) e_i(x - c_i)
     adj_motion = sum_i (t_i / scale) w_i sum_x adj(x) grad e_i(x - c_i)
@@ -62,7 +64,7 @@ def bin_events(x, y, weight, window_ptr, reduction: float, image_out) -> None:
 
 @cache
 def make_splat_taps(dtype: type, cfg: SplatConfig) -> wp.Function:
-    """Build the function that gives g and g' at the taps around an event ``offset`` px from the middle one."""
+    """Build the function that gives g and g' at the taps around an event ``offset`` px off the middle one."""
     reach = cfg.reach
     vec_taps = vector(2 * reach + 1, dtype)
     gauss = wp.constant(vec_taps(*(cfg.norm * cfg.gauss(k) for k in range(-reach, reach + 1))))
@@ -71,7 +73,8 @@ def make_splat_taps(dtype: type, cfg: SplatConfig) -> wp.Function:
 
     @wp.func
     def splat_taps(offset: dtype):
-        # exp(-(k - f)^2 / 2 eps^2) = exp(-f^2 / 2 eps^2) exp(f / eps^2)^k exp(-k^2 / 2 eps^2): two exps, not one a tap
+        # exp(-(k - f)^2 / 2 eps^2) = exp(-f^2 / 2 eps^2) exp(f / eps^2)^k exp(-k^2 / 2 eps^2): two exps, not
+        # one a tap
         value = vec_taps()
         slope = vec_taps()
         up = wp.exp(offset * inverse_variance)

@@ -1,9 +1,11 @@
 """Adjoint of ``splat_events`` in the weights and the motion; the formulas are in ``splat.py``.
 
-A gather: each thread takes a chunk of a window's events and reads the image's adjoint around each, so there is no atomic,
-and the sums over chunks are added up in a second pass.  It needs the profile's second derivative,
+A gather: each thread takes a chunk of a window's events and reads the image's adjoint around each, so there
+is no atomic, and the sums over chunks are added up in a second pass.  It needs the profile's second
+derivative,
 
-    g''(r) = gauss(r) / c ((r^2 / eps^2 - 1) q k + 2 (r / R)^2 (2 q / eps^2 + 4 / R^2)),   q = 1 - (r / R)^2,   k = q / eps^2 + 4 / R^2
+    g''(r) = gauss(r) / c ((r^2 / eps^2 - 1) q k + 2 (r / R)^2 (2 q / eps^2 + 4 / R^2)),
+    q = 1 - (r / R)^2,    k = q / eps^2 + 4 / R^2
 
 and is not on the path of reading a code, so it favours clarity: one exponential a tap.
 """
@@ -20,7 +22,7 @@ from evqr_kernels.warp_backend.sums import add_partials
 
 @cache
 def make_splat_events_adjoint(dtype: type, cfg: SplatConfig) -> wp.Kernel:
-    """Build the adjoint for one precision and shape of splat; launch: one thread per (window, chunk of events)."""
+    """Build the adjoint for a precision and a shape of splat; launch: one thread per (window, chunk)."""
     reach = cfg.reach
     taps = 2 * reach + 1
     norm = wp.constant(dtype(cfg.norm))

@@ -1,16 +1,17 @@
 """Matched filters at reduced resolution.
 
-``reduce_image``: sum over a coarser grid: the pixel of the coarse image covers ``ratio`` x ``ratio`` fine pixels, with
-fractional coverage at its borders.
+``reduce_image``: sum over a coarser grid: the pixel of the coarse image covers ``ratio`` x ``ratio`` fine
+pixels, with fractional coverage at its borders.
 
-``correlate_templates``: normalised correlation with a bank of square templates (the angles of a finder pattern, say), of
-which only the best one is kept:
+``correlate_templates``: normalised correlation with a bank of square templates (the angles of a finder
+pattern, say), of which only the best one is kept:
 
-    response(y, x) = sum_{j, i} T_a(j, i) image(y + j, x + i) / sqrt(sum_{j, i} D(j, i) image(y + j, x + i)^2 + floor)
+    response(y, x) = sum_{j, i} T_a(j, i) image(y + j, x + i) / sqrt(energy(y, x) + floor)
+    energy(y, x)   = sum_{j, i} D(j, i) image(y + j, x + i)^2
 
-with a = angle(y, x) the one of largest magnitude.  D is the disc that the templates fill, and the floor keeps quiet places
-quiet: where the energy under the disc is less than the floor the response is 0.  The sign of the best response is kept:
-an inverted code answers with the opposite one.
+with a = angle(y, x) the one of largest magnitude.  D is the disc that the templates fill, and the floor keeps
+quiet places quiet: where the energy under the disc is less than the floor the response is 0.  The sign of the
+best response is kept: an inverted code answers with the opposite one.
 """
 
 from functools import cache
@@ -70,8 +71,8 @@ def reduce_image(image, ratio: float, image_out) -> None:
 def make_correlate_templates(dtype: type, block: int) -> wp.Kernel:
     """Build the matched filter; launch: one thread per ``block`` neighbouring pixels of a row.
 
-    ``pixels[b, y, x]`` is the vector of ``block`` pixels from x on.  The last block of a row ends with the row and may
-    overlap the one before: those pixels are computed twice, with the same result.
+    ``pixels[b, y, x]`` is the vector of ``block`` pixels from x on.  The last block of a row ends with the
+    row and may overlap the one before: those pixels are computed twice, with the same result.
     """
     vec_pixels = vector(block, dtype)
     vec_angles = vector(ANGLES, dtype)
@@ -87,7 +88,8 @@ def make_correlate_templates(dtype: type, block: int) -> wp.Kernel:
     ):
         b, y, k = wp.tid()
         x = wp.min(block * k, response_out.shape[2] - block)
-        # equal to block, which the compiler does not know: unrolled sixteen times, the end of the kernel spoils its middle
+        # equal to block, which the compiler does not know: unrolled sixteen times, the end of the kernel
+        # spoils its middle
         count = wp.min(block, response_out.shape[2] - x)
         size = disc.shape[0]
         for p in range(count):
@@ -137,7 +139,7 @@ def make_correlate_templates(dtype: type, block: int) -> wp.Kernel:
             if energy[p] >= floor[b]:
                 every = vec_angles(r0[p], r1[p], r2[p], r3[p], r4[p], r5[p], r6[p], r7[p])
                 best = every[0]
-                angle = int(0)
+                angle = wp.int32(0)
                 for a in range(1, wp.static(ANGLES)):
                     if wp.abs(every[a]) > wp.abs(best):
                         best = every[a]
