@@ -10,7 +10,7 @@ from __future__ import annotations
 import time
 from collections.abc import Iterator
 from contextlib import contextmanager
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -28,8 +28,14 @@ from evqr.windows import EventBuffer, Window
 from evqr.workspace import Workspace
 from evqr_kernels.backend import get_backend
 
-GOOD_SCORE = 0.7
-"""Correlation with the known modules that ends the search among hypotheses: one module off scores 0.56 to 0.67."""
+GOOD_SCORE = 0.8
+"""Correlation with the known modules that ends the search for a better candidate: one module off scores 0.56 to 0.67."""
+
+SURE_TRAVEL_PX = 0.6
+"""Travel in a window below which the direction of the motion is not sure [px]."""
+
+UNSURE_TURNS = tuple(np.deg2rad((0.0, 45.0, -45.0, 90.0)))
+"""Turns of the direction that are tried then [rad]; the opposite ones look like an inverted code."""
 
 SEARCH_MARGIN_PX = 4.0
 """How far the pose from the search may be off, for the size of the region [px]."""
@@ -104,16 +110,30 @@ class Sighting:
 
 @dataclass(frozen=True, eq=False)
 class _Closer:
-    """A candidate, refined: its region, the events near it, and the alignment."""
+    """A candidate, refined: its region, the events near it, the alignment, and the iterations of all that were tried."""
 
     version: int
     region: Region
     events: Window
     found: Alignment
+    iterations: int = 0
 
     @property
     def score(self) -> float:
         return float(self.found.score[0])
+
+
+def _turned(velocity: NDArray[np.float64], angle: float) -> NDArray[np.float64]:
+    cos, sin = np.cos(angle), np.sin(angle)
+    return np.array([[cos, -sin], [sin, cos]]) @ velocity
+
+
+def _lag_px(lag_us: tuple[float, float] | None, velocity: NDArray[np.float64]) -> tuple[float, float]:
+    """Lags along the motion for time constants [px]."""
+    if lag_us is None:
+        return 0.0, 0.0
+    per_us = float(np.hypot(*velocity)) * 1e-6
+    return lag_us[0] * per_us, lag_us[1] * per_us
 
 
 class Solver:
@@ -165,56 +185,97 @@ class Solver:
         -------
         Sighting, or the reason in words why there is none
         """
-        cfg, clock, workspace = self.config, self.clock, self.workspace
-        lag_us = cfg.lag_us or lag_us
-        velocity, per_us = motion.velocity, motion.speed * 1e-6
+        lag_us = self.config.lag_us or lag_us
         if motion.speed <= 0.0:
             return "nothing moves"
+        turns = (0.0,) if motion.speed * window.seconds >= SURE_TRAVEL_PX else UNSURE_TURNS
+        best: Sighting | str = ""
+        for turn in turns:
+            found = self._look_along(window, _turned(motion.velocity, turn), lag_us)
+            if isinstance(best, str) or (isinstance(found, Sighting) and found.score > best.score):
+                best = found
+            if isinstance(best, Sighting) and best.score >= GOOD_SCORE:
+                break
+        return best
+
+    def _look_along(
+        self, window: Window, velocity: NDArray[np.float64], lag_us: tuple[float, float] | None
+    ) -> Sighting | str:
+        """Find a code that moves with a velocity."""
+        cfg, clock, workspace = self.config, self.clock, self.workspace
         with clock("finder"):
             peaks, pyramid = find_peaks(window, velocity, cfg.finder, workspace=workspace)
             hypotheses = find_hypotheses(peaks, cfg.finder)
         if not hypotheses:
             return f"no three finder patterns that fit together among {len(peaks.response)} candidates"
-        best: _Closer | None = None
+        first = cfg.finder.first_hypotheses
+        best: Sighting | None = None
+        closest = 0.0
         iterations = 0
-        for batch in (hypotheses[: cfg.finder.first_hypotheses], hypotheses[cfg.finder.first_hypotheses :]):
+        for batch in filter(None, (hypotheses[:first], hypotheses[first:])):
             with clock("pose"):
                 candidates, steps = screen(batch, pyramid, cfg.stage_one, workspace=workspace)
-            iterations += steps
             with clock("stage_one"):
-                for candidate in candidates[: cfg.stage_one.closer_looks]:
-                    closer = self._look_closer(window, velocity, candidate)
-                    iterations += closer.found.iterations
-                    if best is None or closer.score > best.score:
-                        best = closer
-                    if best.score >= GOOD_SCORE:
-                        break
-            if best is not None and best.score >= GOOD_SCORE:
+                closer = self._look_closer(window, velocity, candidates[: cfg.stage_one.closer_looks], lag_us)
+            iterations += steps + closer.iterations
+            closest = max(closest, closer.score)
+            if closer.score < cfg.stage_one.min_score:
+                continue
+            found = self._settle(closer, velocity, lag_us, iterations)
+            if best is None or found.score > best.score:
+                best = found
+            if best.score >= GOOD_SCORE:
                 break
-        assert best is not None
-        if best.score < cfg.stage_one.min_score:
-            return f"the best of {len(hypotheses)} candidates agrees too little with a code: {best.score:.2f}"
-        pose = best.found.pose[0]
-        if lag_us is None:
-            with clock("lag"):
-                lag_px, found = estimate_lag(
-                    best.events, velocity, best.region, pose, best.version, cfg.stage_one, workspace=workspace
-                )
-            lag_us, pose = (lag_px[0] / per_us, lag_px[1] / per_us), found.pose[0]
-        return self._measure(best.events, velocity, best.region, pose, best.version, lag_us, iterations)
+        return best or f"the best of {len(hypotheses)} candidates agrees too little with a code: {closest:.2f}"
 
-    def _look_closer(self, window: Window, velocity: NDArray[np.float64], candidate: Candidate) -> _Closer:
-        """Refine a candidate on an image of its own."""
+    def _look_closer(
+        self,
+        window: Window,
+        velocity: NDArray[np.float64],
+        candidates: list[Candidate],
+        lag_us: tuple[float, float] | None,
+    ) -> _Closer:
+        """Refine candidates, each on an image of its own, and return the best."""
         cfg = self.config.stage_one
-        region = region_around(
-            candidate.pose, size_of(candidate.version), cfg, margin_px=SEARCH_MARGIN_PX
+        looks: list[_Closer] = []
+        for candidate in candidates:
+            region = region_around(
+                candidate.pose, size_of(candidate.version), cfg, margin_px=SEARCH_MARGIN_PX
+            )
+            near = events_near(window, velocity, region)
+            image = splat_region(
+                near, velocity, region, cfg, workspace=self.workspace, lag_px=_lag_px(lag_us, velocity)
+            )
+            found = refine_from_cold(
+                image, region.from_px @ candidate.pose, candidate.version, cfg, workspace=self.workspace
+            )
+            looks.append(_Closer(candidate.version, region, near, found))
+            if looks[-1].score >= GOOD_SCORE:
+                break
+        best = max(looks, key=lambda look: look.score)
+        return replace(best, iterations=sum(look.found.iterations for look in looks))
+
+    def _settle(
+        self, closer: _Closer, velocity: NDArray[np.float64], lag_us: tuple[float, float] | None, iterations: int
+    ) -> Sighting:
+        """Estimate what is still unknown of a code that was found, and measure it."""
+        pose = closer.found.pose[0]
+        if lag_us is None:
+            with self.clock("lag"):
+                lag_px, found = estimate_lag(
+                    closer.events,
+                    velocity,
+                    closer.region,
+                    pose,
+                    closer.version,
+                    self.config.stage_one,
+                    workspace=self.workspace,
+                )
+            per_us = float(np.hypot(*velocity)) * 1e-6
+            lag_us, pose = (lag_px[0] / per_us, lag_px[1] / per_us), found.pose[0]
+        return self._measure(
+            closer.events, velocity, closer.region, pose, closer.version, lag_us, iterations
         )
-        near = events_near(window, velocity, region)
-        image = splat_region(near, velocity, region, cfg, workspace=self.workspace)
-        found = refine_from_cold(
-            image, region.from_px @ candidate.pose, candidate.version, cfg, workspace=self.workspace
-        )
-        return _Closer(candidate.version, region, near, found)
 
     def follow(self, window: Window, seen: Sighting) -> Sighting | None:
         """Find a code again that an earlier window saw; None when it is lost."""
@@ -239,15 +300,9 @@ class Solver:
     ) -> Sighting:
         """Stage one at its finest level with the lags undone, then stage two's equations."""
         cfg, workspace = self.config, self.workspace
-        per_us = float(np.hypot(*velocity)) * 1e-6
         with self.clock("stage_one"):
             image = splat_region(
-                window,
-                velocity,
-                region,
-                cfg.stage_one,
-                workspace=workspace,
-                lag_px=(lag_us[0] * per_us, lag_us[1] * per_us),
+                window, velocity, region, cfg.stage_one, workspace=workspace, lag_px=_lag_px(lag_us, velocity)
             )
             found = align(
                 image, pose[None], version, fine_levels(cfg.stage_one), cfg.stage_one, workspace=workspace

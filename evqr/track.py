@@ -9,7 +9,7 @@ import numpy as np
 
 from evqr.decode import Decoded, DecodeFailure, decode_grid
 from evqr.region import outline
-from evqr.solver import Sighting, Solver, StageClock
+from evqr.solver import GOOD_SCORE, Sighting, Solver, StageClock
 from evqr.types import CodeReading
 from evqr.vote import Tally
 from evqr.windows import EventBuffer
@@ -19,6 +19,9 @@ BASELINE = 8
 
 FULL_EFFORT_EVERY = 4
 """Windows between two attempts at decoding with many erasures; the others are quick."""
+
+PATIENCE = 16
+"""Windows without a reading after which a code that agrees badly with its known modules is given up."""
 
 MOST_MISSES = 2
 """Windows in a row without the code after which it is gone."""
@@ -52,8 +55,9 @@ class Track:
 
     @property
     def gone(self) -> bool:
-        """Whether the code is out of sight."""
-        return self._misses >= MOST_MISSES
+        """Whether the code is out of sight, or was none."""
+        unread = self.reading is None and self._tally.windows >= PATIENCE and self.seen.score < GOOD_SCORE
+        return unread or self._misses >= MOST_MISSES
 
     def next_window(self, solver: Solver) -> tuple[int, int]:
         """Bounds of the next window to follow the code in [us]."""
