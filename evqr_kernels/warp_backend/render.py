@@ -168,14 +168,14 @@ def make_adjoint_of_grid(dtype: type) -> wp.Kernel:
         u = dtype(i) - affine[b, 2]
         v = dtype(j) - affine[b, 5]
         if determinant != dtype(0.0):
-            x = (w4 * u - w1 * v) / determinant
-            y = (w0 * v - w3 * u) / determinant
+            centre_x = (w4 * u - w1 * v) / determinant
+            centre_y = (w0 * v - w3 * u) / determinant
             reach_x = (wp.abs(w4) + wp.abs(w1)) / wp.abs(determinant) + dtype(1.0)
             reach_y = (wp.abs(w0) + wp.abs(w3)) / wp.abs(determinant) + dtype(1.0)
-            left = int(wp.clamp(x - reach_x, dtype(0.0), dtype(width)))
-            right = int(wp.clamp(wp.ceil(x + reach_x), dtype(-1.0), dtype(width - 1))) + 1
-            top = int(wp.clamp(y - reach_y, dtype(0.0), dtype(height)))
-            bottom = int(wp.clamp(wp.ceil(y + reach_y), dtype(-1.0), dtype(height - 1))) + 1
+            left = int(wp.clamp(centre_x - reach_x, dtype(0.0), dtype(width)))
+            right = int(wp.clamp(wp.ceil(centre_x + reach_x), dtype(-1.0), dtype(width - 1))) + 1
+            top = int(wp.clamp(centre_y - reach_y, dtype(0.0), dtype(height)))
+            bottom = int(wp.clamp(wp.ceil(centre_y + reach_y), dtype(-1.0), dtype(height - 1))) + 1
         total = dtype(0.0)
         for y in range(top, bottom):
             along = dtype(0.0)

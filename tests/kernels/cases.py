@@ -1,0 +1,195 @@
+"""A call of every operation, small and crooked: odd sizes, several windows, one of them empty, events off the image.
+
+Overwritten outputs and scratch hold NaN, accumulated ones something else than zero.
+"""
+
+from dataclasses import dataclass, field
+
+import numpy as np
+
+from evqr_kernels import SplatConfig
+
+from .helpers import filled
+
+B, Y, X = 3, 23, 31
+SPLAT = SplatConfig(epsilon_px=0.8)
+
+
+@dataclass
+class Call:
+    op: str
+    inputs: list
+    outputs: list
+    tail: tuple = ()
+    options: dict = field(default_factory=dict)
+    scratch: int = 0  # so many of the first outputs are scratch
+
+    def run(self, runner):
+        return runner(self.op, self.inputs, self.outputs, *self.tail, **self.options)[self.scratch :]
+
+
+def events(rng, dtype, count=300, margin=6.0):
+    """x, y, t, weight, window_ptr of events in and around the image; the middle window is empty."""
+    x = rng.uniform(-margin, X + margin, count).astype(dtype)
+    y = rng.uniform(-margin, Y + margin, count).astype(dtype)
+    t = rng.uniform(-1e-3, 1e-3, count).astype(dtype)
+    weight = rng.choice([-1.0, 1.0, 0.5], count).astype(dtype)
+    third = count // 3
+    return [x, y, t, weight, np.array([0, third, third, count], np.int32)]
+
+
+def splat_inputs(rng, dtype, count=300):
+    motion = rng.uniform(-3000, 3000, (B, 2)).astype(dtype)
+    motion[2] = 0
+    lag = rng.uniform(0, 3, (B, 2)).astype(dtype)
+    frame = np.array([[0, 0, 1], [0, 0, 1], [-4.25, 1.5, 1.3]], dtype)
+    return [*events(rng, dtype, count), motion, lag, frame]
+
+
+def poses(rng, count, dtype):
+    """Poses that look mostly, not wholly, into the image, with some perspective."""
+    base = np.array([1.4, 0.3, 3.0, -0.2, 1.1, 2.0, 0.002, -0.003, 1.0])
+    return (base + rng.uniform(-0.01, 0.01, (count, 9)) * np.abs(base)).astype(dtype)
+
+
+def bin_events(rng, dtype):
+    x, y, _, weight, window_ptr = events(rng, dtype)
+    return Call("bin_events", [x, y, weight, window_ptr, 2.0], [filled((B, Y // 2, X // 2), dtype, 0.5)])
+
+
+def splat_events(rng, dtype):
+    return Call("splat_events", splat_inputs(rng, dtype), [filled((B, Y, X), dtype, 0.5)], (SPLAT,))
+
+
+def splat_events_wide(rng, dtype):
+    cfg = SplatConfig(epsilon_px=1.5, radius_px=4.0)
+    return Call("splat_events", splat_inputs(rng, dtype), [filled((B, Y, X), dtype, 0.5)], (cfg,))
+
+
+def splat_events_adjoint(rng, dtype):
+    inputs = [*splat_inputs(rng, dtype), rng.normal(size=(B, Y, X)).astype(dtype)]
+    outputs = [filled((B, 5, 2), dtype), filled(300, dtype), filled((B, 2), dtype)]
+    return Call("splat_events_adjoint", inputs, outputs, (SPLAT,), scratch=1)
+
+
+def motion_correlation(rng, dtype, radius=5):
+    first, second = (rng.normal(size=(B, Y, X)) * (rng.random((B, Y, X)) < 0.3) for _ in range(2))
+    shifts = 2 * radius + 1
+    outputs = [filled((B, Y, shifts, shifts), dtype), filled((B, shifts, shifts), dtype)]
+    return Call("motion_correlation", [first.astype(dtype), second.astype(dtype), radius], outputs)
+
+
+def reduce_image(rng, dtype):
+    image = rng.normal(size=(B, Y, X)).astype(dtype)
+    return Call("reduce_image", [image, 1.25], [filled((B, 19, 25), dtype)])
+
+
+def correlate_templates(rng, dtype, width=24, n=5):
+    image = rng.normal(size=(B, Y + n - 1, width + n - 1)) * (rng.random((B, 1, width + n - 1)) < 0.8)
+    image[1, :, : width // 2] = 0
+    g = np.arange(n) - n // 2
+    disc = ((g[:, None] ** 2 + g**2) <= (n // 2) ** 2).astype(dtype)
+    bank = rng.normal(size=(n, n, 8)) * disc[..., None]
+    inputs = [image.astype(dtype), bank.astype(dtype), disc, np.array([4.0, 2.0, 30.0], dtype)]
+    outputs = [filled((B, Y, width), dtype), np.full((B, Y, width), -1, np.int32)]
+    return Call("correlate_templates", inputs, outputs)
+
+
+def moment_inputs(rng, dtype, samples=700, columns=5, count=4):
+    image = rng.normal(size=(B, Y, X)).astype(dtype)
+    points = rng.uniform(-3, 20, (samples, 2)).astype(dtype)
+    table = rng.normal(size=(samples, columns)).astype(dtype)
+    active = np.array([1, 0, 1, 1][:count], np.int32)
+    return [image, np.array([2, 1, 0, 2][:count], np.int32), poses(rng, count, dtype), active, points, table]
+
+
+def sample_moments(rng, dtype):
+    inputs = moment_inputs(rng, dtype)
+    inputs[3][:] = 1
+    return Call("sample_moments", inputs, [filled((4, 3, 6), dtype), filled((4, 6), dtype)], scratch=1)
+
+
+def sample_moments_adjoint(rng, dtype):
+    inputs = [*moment_inputs(rng, dtype), rng.normal(size=(4, 6)).astype(dtype)]
+    return Call("sample_moments_adjoint", inputs, [filled((B, Y, X), dtype, 0.5)])
+
+
+def code_rhs(rng, dtype, modules=11, samples=3):
+    lattice = (np.arange(modules * samples) + 0.5) / samples
+    profile, slope = rng.normal(size=(2, 5 * samples)).astype(dtype)
+    image = rng.normal(size=(B, Y, X)).astype(dtype)
+    gain = rng.normal(size=(B, 2)).astype(dtype)
+    inputs = [image, poses(rng, B, dtype), lattice.astype(dtype), profile, slope, gain, samples]
+    count = modules * samples
+    outputs = [
+        filled((B, count, count), dtype),
+        filled((B, 2, count, modules), dtype),
+        filled((B, modules, modules), dtype),
+    ]
+    return Call("code_rhs", inputs, outputs, scratch=2)
+
+
+def system(rng, dtype, modules):
+    """A positive definite stencil with damping, a right-hand side, free modules up to the border, and a start."""
+    taps = rng.normal(size=(B, 3, 3))
+    stencil = np.zeros((B, 5, 5))
+    for b in range(B):
+        for j in range(3):
+            for i in range(3):
+                stencil[b, j : j + 3, i : i + 3] += taps[b, j, i] * taps[b, ::-1, ::-1]
+    free = (rng.random((modules, modules)) < 0.7).astype(np.int32)
+    rhs, start = rng.normal(size=(2, B, modules, modules))
+    return [rhs.astype(dtype), stencil.astype(dtype), np.full(B, 0.3, dtype), free, start.astype(dtype)]
+
+
+def render_affine(rng, dtype):
+    grid = rng.normal(size=(B, 7, 6)).astype(dtype)
+    return Call("render_affine", [grid, affines(dtype), np.array([0.0, 1.0, -0.5], dtype)], [filled((B, Y, X), dtype)])
+
+
+def affines(dtype):
+    """Image to grid: one turned, one that shows all of the grid, and one close to singular."""
+    maps = [
+        [0.21, 0.09, -2.013, -0.08, 0.24, 0.507],
+        [0.33, 0.0, -1.517, 0.0, 0.41, -1.019],
+        [0.2, 0.1, 0.303, 0.4, 0.2, -3.017],
+    ]
+    return np.array(maps, dtype)
+
+
+def render_affine_adjoint(rng, dtype):
+    inputs = [*render_affine(rng, dtype).inputs, rng.normal(size=(B, Y, X)).astype(dtype)]
+    outputs = [filled((B, Y, 6), dtype), filled((B, 7, 6), dtype), filled((B, 6), dtype)]
+    return Call("render_affine_adjoint", inputs, outputs, scratch=1)
+
+
+def brightness_residual(rng, dtype):
+    luminance, events_image = rng.normal(size=(2, B, Y, X)).astype(dtype)
+    motion = rng.normal(size=(B, 2)).astype(dtype)
+    return Call("brightness_residual", [luminance, events_image, motion], [filled((B, Y, X), dtype)])
+
+
+def brightness_residual_adjoint(rng, dtype):
+    luminance, _, motion = brightness_residual(rng, dtype).inputs
+    outputs = [filled((B, Y, 2), dtype), filled((B, Y, X), dtype), filled((B, 2), dtype)]
+    inputs = [luminance, motion, rng.normal(size=(B, Y, X)).astype(dtype)]
+    return Call("brightness_residual_adjoint", inputs, outputs, scratch=1)
+
+
+CALLS = [
+    bin_events,
+    splat_events,
+    splat_events_wide,
+    splat_events_adjoint,
+    motion_correlation,
+    reduce_image,
+    correlate_templates,
+    sample_moments,
+    sample_moments_adjoint,
+    code_rhs,
+    render_affine,
+    render_affine_adjoint,
+    brightness_residual,
+    brightness_residual_adjoint,
+]
+"""`solve_code` updates its input in place and has a file of its own."""

@@ -1,0 +1,61 @@
+"""Every operation equals the specification, overwrites what it says it overwrites, and never mixes windows."""
+
+import numpy as np
+import pytest
+
+from evqr_kernels.backend import OPS
+
+from . import cases
+from .helpers import assert_close
+
+
+def test_every_operation_has_a_case(rng):
+    assert {make(rng, np.float32).op for make in cases.CALLS} | {"solve_code"} == set(OPS)
+
+
+@pytest.mark.parametrize("make", cases.CALLS, ids=lambda make: make.__name__)
+def test_equals_the_specification(make, placed, spec, dtype, rng):
+    call = make(rng, dtype)
+    expected = call.run(spec)
+    for got, want in zip(call.run(placed), expected, strict=True):
+        assert np.isfinite(want).all()
+        assert_close(got, want)
+
+
+@pytest.mark.parametrize("make", cases.CALLS, ids=lambda make: make.__name__)
+def test_single_and_double_precision_agree(make, spec):
+    """The specification has no float32 step that loses more than rounding: literals, casts, indices."""
+    single = make(np.random.default_rng(3), np.float32).run(spec)
+    call = make(np.random.default_rng(3), np.float64)
+    narrow = [x.astype(np.float32).astype(float) if getattr(x, "dtype", 0) == float else x for x in call.inputs]
+    call.inputs = narrow
+    for got, want in zip(single, call.run(spec), strict=True):
+        scale = np.abs(want).max()
+        np.testing.assert_allclose(got, want, rtol=0, atol=2e-4 * scale)
+
+
+@pytest.mark.parametrize("make", cases.CALLS, ids=lambda make: make.__name__)
+def test_supported(make, placed, dtype, rng):
+    op = make(rng, dtype).op
+    assert placed.backend.supports(op, dtype, placed.device) is None
+    assert "int32" in placed.backend.supports(op, np.int32, placed.device)
+
+
+@pytest.mark.parametrize("width", [4, 5, 16, 17, 33])
+def test_templates_at_any_width(width, placed, spec, dtype, rng):
+    call = cases.correlate_templates(rng, dtype, width=width)
+    for got, want in zip(call.run(placed), call.run(spec), strict=True):
+        assert_close(got, want)
+
+
+@pytest.mark.parametrize("radius", [0, 1, 3, 8, 30])
+def test_correlation_at_any_radius(radius, placed, spec, dtype, rng):
+    call = cases.motion_correlation(rng, dtype, radius=radius)
+    for got, want in zip(call.run(placed), call.run(spec), strict=True):
+        assert_close(got, want)
+
+
+@pytest.mark.parametrize("modules", [1, 3, 7, 8, 9, 25])
+def test_right_hand_side_at_any_size(modules, placed, spec, dtype, rng):
+    call = cases.code_rhs(rng, dtype, modules=modules)
+    assert_close(*call.run(placed), *call.run(spec))
