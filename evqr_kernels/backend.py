@@ -118,6 +118,13 @@ class KernelBackend(Protocol):
         """Adjoint of `sample_moments` in the image; accumulates."""
         ...
 
+    def align_poses(
+        self, image: Array, image_idx: Array, points: Array, table: Array, gram: Array, terms: Array,
+        factors: Array, settings: Array, max_iterations: int, pose_inout: Array, result_out: Array,
+    ) -> None:  # fmt: skip
+        """Gauss-Newton on poses; ``settings`` is (centre, scale, ridge, damping, tolerance), ``result_out`` is (N, 5)."""
+        ...
+
     def code_rhs(
         self, image: Array, pose: Array, lattice: Array, profile: Array, slope: Array, gain: Array,
         samples_a_module: int, samples_out: Array, rows_out: Array, rhs_out: Array,
@@ -166,6 +173,7 @@ OPS = (
     "correlate_templates",
     "sample_moments",
     "sample_moments_adjoint",
+    "align_poses",
     "code_rhs",
     "solve_code",
     "render_affine",

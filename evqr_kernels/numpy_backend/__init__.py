@@ -12,7 +12,7 @@ from numpy.typing import DTypeLike, NDArray
 
 from evqr_kernels.backend import OPS
 from evqr_kernels.config import DEFAULT_KERNELS, KernelSet
-from evqr_kernels.numpy_backend import code, motion, pose, render, residual, solve, splat, templates
+from evqr_kernels.numpy_backend import align, code, motion, pose, render, residual, solve, splat, templates
 
 
 class NumpyBackend:
@@ -28,6 +28,7 @@ class NumpyBackend:
     correlate_templates = staticmethod(templates.correlate_templates)
     sample_moments = staticmethod(pose.sample_moments)
     sample_moments_adjoint = staticmethod(pose.sample_moments_adjoint)
+    align_poses = staticmethod(align.align_poses)
     code_rhs = staticmethod(code.code_rhs)
     solve_code = staticmethod(solve.solve_code)
     render_affine = staticmethod(render.render_affine)

@@ -18,6 +18,7 @@ from numpy.typing import DTypeLike, NDArray
 from evqr_kernels.backend import OPS, require_device
 from evqr_kernels.config import DEFAULT_KERNELS, KernelSet
 from evqr_kernels.warp_backend import (
+    align,
     code,
     motion,
     pose,
@@ -46,6 +47,7 @@ class WarpBackend:
     correlate_templates = staticmethod(templates.correlate_templates)
     sample_moments = staticmethod(pose.sample_moments)
     sample_moments_adjoint = staticmethod(pose.sample_moments_adjoint)
+    align_poses = staticmethod(align.align_poses)
     code_rhs = staticmethod(code.code_rhs)
     solve_code = staticmethod(solve.solve_code)
     render_affine = staticmethod(render.render_affine)
@@ -115,8 +117,7 @@ def _modules(kernels: KernelSet, device: str) -> list[wp.Module]:
         motion.make_add_rows(f32),
         templates.make_reduce_image(f32),
         templates.make_correlate_templates(f32, templates.BLOCKS[0]),
-        pose.make_moments_of_chunks(f32, kernels.table_columns),
-        pose.make_add_chunks(f32, kernels.table_columns),
+        align.make_align_poses(f32, kernels.table_columns),
         code.make_sample_rows(f32),
         code.make_fold_columns(f32, code.BLOCK),
         *solve.make_kernels(f32, on_cpu=device == "cpu"),

@@ -1,0 +1,60 @@
+"""Gauss-Newton on poses; the formulas are in ``warp_backend/align.py``."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from evqr_kernels.numpy_backend.pose import bilinear, project
+
+
+def align_poses(
+    image, image_idx, points, table, gram, terms, factors, settings, max_iterations, pose_inout, result_out
+) -> None:
+    """Refine poses; overwrites the results."""
+    centre, scale, ridge, damping, tolerance = (float(value) for value in settings)
+    gram = gram.astype(np.float64)
+    gain_gram = gram[-2:, -2:]
+    solvable = gain_gram + ridge * np.trace(gain_gram) * np.eye(2)
+    to_centre = np.array([[1.0, 0.0, -centre], [0.0, 1.0, -centre], [0.0, 0.0, 1.0]])
+    for h in range(len(pose_inout)):
+        iterations, last = 0, False
+        while True:
+            e = bilinear(image[image_idx[h]], *project(pose_inout[h], points[:, 0], points[:, 1]))
+            moments, energy = (e @ table).astype(np.float64), float(e @ e)
+            gain = -np.linalg.solve(solvable, moments[-2:])
+            model, cross = gain @ gain_gram @ gain, -gain @ moments[-2:]
+            noise = max(energy - 2.0 * cross + model, 0.0) / len(points)
+            score = cross / np.sqrt(max(model * energy, 1e-20))
+            result_out[h] = (*gain, score, noise, iterations)
+            if last or iterations >= max_iterations:
+                break
+            jacobian = _jacobian(gain, terms, factors, len(gram))
+            matrix = jacobian @ gram @ jacobian.T
+            diagonal = np.diag(matrix)
+            matrix = matrix + np.diag(damping * diagonal + 1e-7 * diagonal.sum() + 1e-12)
+            step = np.zeros(8)
+            solved = -np.linalg.solve(matrix, jacobian @ (moments + gram[:, -2:] @ gain))[:-2]
+            step[: len(solved)] = solved
+            size = np.abs(step).sum()
+            step /= max(size, 1.0)
+            warp = np.array(
+                [
+                    [1.0 + step[1] / scale, step[2] / scale, step[0]],
+                    [step[4] / scale, 1.0 + step[5] / scale, step[3]],
+                    [-step[6] / scale**2, -step[7] / scale**2, 1.0],
+                ]
+            )
+            pose = pose_inout[h].reshape(3, 3).astype(np.float64)
+            moved = pose @ np.linalg.inv(to_centre) @ np.linalg.inv(warp) @ to_centre
+            pose_inout[h] = (moved / moved[2, 2]).ravel()
+            iterations += 1
+            last = size < tolerance
+
+
+def _jacobian(gain: NDArray, terms: NDArray, factors: NDArray, columns: int) -> NDArray[np.float64]:
+    value = np.array([0.0, gain[0], gain[1], 1.0])
+    jacobian = np.zeros((len(terms), columns))
+    for parameter, (columns_of, kinds) in enumerate(zip(terms, factors, strict=True)):
+        np.add.at(jacobian[parameter], columns_of, value[kinds])
+    return jacobian
