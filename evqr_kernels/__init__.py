@@ -13,6 +13,7 @@ from evqr_kernels.backend import (
 )
 from evqr_kernels.config import KernelSet, SplatConfig
 from evqr_kernels.ops import (
+    align_poses,
     bin_events,
     brightness_residual,
     brightness_residual_adjoint,
@@ -34,6 +35,7 @@ __all__ = [
     "KernelBackend",
     "KernelSet",
     "SplatConfig",
+    "align_poses",
     "backend_names",
     "bin_events",
     "brightness_residual",

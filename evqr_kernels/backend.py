@@ -122,7 +122,7 @@ class KernelBackend(Protocol):
         self, image: Array, image_idx: Array, points: Array, table: Array, gram: Array, terms: Array,
         factors: Array, settings: Array, max_iterations: int, pose_inout: Array, result_out: Array,
     ) -> None:  # fmt: skip
-        """Gauss-Newton on poses; ``settings`` is (centre, scale, ridge, damping, tolerance), ``result_out`` is (N, 5)."""
+        """Gauss-Newton on poses; ``settings``: centre, scale, ridge, damping, tolerance; result (N, 5)."""
         ...
 
     def code_rhs(

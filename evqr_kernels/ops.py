@@ -311,6 +311,53 @@ def sample_moments_adjoint(
     return launch.results()[0]
 
 
+def align_poses(
+    image: Floats, image_idx: Ints, pose: Floats, points: Floats, table: Floats, terms: Ints,
+    factors: Ints, *, centre: float, scale: float, ridge: float = 1e-3, damping: float = 1e-3,
+    tolerance: float = 1e-2, max_iterations: int = 10, backend: str = "auto", device: str | None = None,
+) -> tuple[Floats, Floats]:  # fmt: skip
+    """Refine poses by inverse-compositional Gauss-Newton.
+
+    Parameters
+    ----------
+    image, image_idx, pose, points   as in `sample_moments`; ``pose`` is where to begin
+    table : (S, C)                   model functions at the points, the last two its slopes along u and v
+    terms, factors : (P + 2, 4) int32
+        columns of the table that make up each parameter's derivative, and what each is multiplied with: 0
+        nothing, 1 and 2 the gain along u and v, 3 one; six parameters for an affine map or eight for a
+        homography, then the two of the gain
+    centre, scale                    of the coordinates in the table: (u - centre) / scale
+    ridge, damping                   regularise the gain, relative to the trace, and the step, to the diagonal
+    tolerance                        stop when the components of a step add up to less
+    max_iterations                   at most so many; 0 scores the poses as they are
+
+    Returns
+    -------
+    (N, 9), (N, 5)   poses; gain along u and v, score, noise and iterations
+
+    See Also
+    --------
+    sample_moments
+    """
+    checks = ArrayChecks()
+    _check_moments(checks, image, image_idx, pose, points, table, None)
+    checks.ints("terms", terms, "P + 2", 4)
+    checks.ints("factors", factors, "P + 2", 4)
+    checks.at_least("max_iterations", max_iterations, 0)
+    if len(terms) not in (8, 10):
+        raise ValueError(f"terms must have shape (8, 4) or (10, 4), got {terms.shape}")
+    columns = table.shape[1]
+    if terms.min() < 0 or terms.max() >= columns:
+        raise ValueError(f"terms must be 0 to {columns - 1}, got {terms.min()} to {terms.max()}")
+    launch = _Launch("align_poses", checks, backend, device)
+    settings = np.array([centre, scale, ridge, damping, tolerance], launch.dtype)
+    inputs = launch.put(image, image_idx, points, table, table.T @ table, terms, factors, settings)
+    refined, result = launch.result(pose.copy(), *pose.shape), launch.result(None, len(pose), 5)
+    launch.run(*inputs, max_iterations, refined, result)
+    poses, values = launch.results()
+    return poses, values
+
+
 def code_rhs(
     image: Floats, pose: Floats, lattice: Floats, profile: Floats, slope: Floats, gain: Floats, *,
     samples_a_module: int, backend: str = "auto", device: str | None = None,

@@ -1,18 +1,20 @@
 """Gauss-Newton on poses: the whole of a level of stage one.
 
-With the moments of an image seen through a pose (``pose``), the model's table has C columns with Gram matrix ``gram``, of which
-the last two, L_u and L_v, carry the gain a = (a_u, a_v):
+With the moments of an image seen through a pose (``pose``), the model's table has C columns with Gram matrix
+``gram``, of which the last two, L_u and L_v, carry the gain a = (a_u, a_v):
 
-    a        = -(gram_LL + ridge tr(gram_LL) I)^-1 moments_L                    least squares
-    J        = sum_k a_k terms_k                                             the Jacobian's columns in terms of the table's
-    (J gram J^T + damping diag) step = -J (moments + gram_L a)               one row of J a parameter, the last two for the gain
-    pose     = pose o (id + step)^-1                                         steps longer than 1 are shortened to 1
+    a      = -(gram_LL + ridge tr(gram_LL) I)^-1 moments_L             least squares
+    J      = (sum_k factor(p, k) e_terms(p, k))_p                      a row a parameter, last two: the gain
+    step   = -(J gram J^T + damping diag)^-1 J (moments + gram_L a)    longer than 1: shortened to 1
+    pose   = pose o (id + step)^-1
 
-until the step is below the tolerance.  ``terms`` (P + 2, 4) holds for each parameter up to four entries, each a column of the table,
-with the component of the gain that it is multiplied with in ``factors``: 0 nothing, 1 a_u, 2 a_v, 3 one.  The first six parameters
-are the affine ones (u: 1, u, v; v: 1, u, v), two more are perspective; coordinates are centred and divided by ``scale``.
+until the step is below the tolerance.  ``terms`` (P + 2, 4) holds for each parameter up to four columns of
+the table and ``factors`` what each is multiplied with: 0 nothing, 1 a_u, 2 a_v, 3 one.  The first six
+parameters are the affine ones (u: 1, u, v; v: 1, u, v), two more are perspective; coordinates are centred at
+``centre`` and divided by ``scale``.
 
-The score is the normalised correlation of model and image, the noise the variance of what is left.
+Results: gain, score (the normalised correlation of model and image), noise (the variance of what is left) and
+iterations, all at the pose that is returned.
 
 One thread owns one pose: a step is a few thousand multiply-adds, less than a launch costs on a CPU.
 """
@@ -21,7 +23,7 @@ from functools import cache
 
 import warp as wp
 
-from evqr_kernels.warp_backend.language import module_of, neighbours, vector
+from evqr_kernels.warp_backend.language import last_axis_as_vector, module_of, neighbours, vector
 from evqr_kernels.warp_backend.pose import make_bilinear, make_project
 
 MOST = 10
@@ -103,8 +105,8 @@ def make_align_poses(dtype: type, columns: int) -> wp.Kernel:
         parameters = n - 2
         first = columns - 2
         second = columns - 1
-        iterations = int(0)
-        moving = int(1)
+        iterations = wp.int32(0)
+        moving = wp.int32(1)
         while moving > 0:
             moments = vec_columns()
             energy = dtype(0.0)
@@ -161,7 +163,9 @@ def make_align_poses(dtype: type, columns: int) -> wp.Kernel:
                 for p in range(n):
                     trace += system[p, p]
                 for p in range(n):
-                    system[p, p] = system[p, p] * (dtype(1.0) + damping) + dtype(1.0e-7) * trace + dtype(1.0e-12)
+                    system[p, p] = (
+                        system[p, p] * (dtype(1.0) + damping) + dtype(1.0e-7) * trace + dtype(1.0e-12)
+                    )
                 step = solve_positive(system, right, n)
                 size = dtype(0.0)
                 for p in range(parameters):
@@ -216,7 +220,7 @@ def align_poses(
             neighbours(image, 2),
             image_idx,
             points,
-            table.view(vector(columns, dtype)),
+            last_axis_as_vector(table),
             gram,
             terms,
             factors,

@@ -32,3 +32,13 @@ def neighbours(array: wp.array, count: int) -> wp.array:
         strides=array.strides,
         device=array.device,
     )
+
+
+def last_axis_as_vector(array: wp.array) -> wp.array:
+    """View whose element i is the vector of all entries of the last axis; it may be empty."""
+    dtype = vector(array.shape[-1], array.dtype)
+    return (
+        array.view(dtype)
+        if array.size
+        else wp.array(shape=array.shape[:-1], dtype=dtype, device=array.device)
+    )

@@ -19,7 +19,7 @@ from functools import cache
 
 import warp as wp
 
-from evqr_kernels.warp_backend.language import module_of, neighbours, vector
+from evqr_kernels.warp_backend.language import last_axis_as_vector, module_of, neighbours, vector
 
 
 @cache
@@ -135,7 +135,7 @@ def sample_moments(image, image_idx, pose, active, points, table, chunks_out, mo
     wp.launch(
         make_moments_of_chunks(dtype, columns),
         chunks_out.shape[:2],
-        inputs=[neighbours(image, 2), image_idx, pose, active, points, table.view(vector(columns, dtype))],
+        inputs=[neighbours(image, 2), image_idx, pose, active, points, last_axis_as_vector(table)],
         outputs=[chunks_out],
         device=device,
     )
@@ -200,7 +200,7 @@ def sample_moments_adjoint(image, image_idx, pose, active, points, table, adj_mo
             pose,
             active,
             points,
-            table.view(vector(columns, dtype)),
+            last_axis_as_vector(table),
             adj_moments,
         ],
         outputs=[adj_image_out],

@@ -60,7 +60,7 @@ def make_solve_windows(dtype: type) -> wp.Kernel:
         tolerance: dtype,
         residual_out: wp.array3d(dtype=dtype),
         direction_out: wp.array3d(dtype=dtype),
-        direction_blocks: wp.array3d(dtype=vec_block),
+        direction_blocks_out: wp.array3d(dtype=vec_block),
         product_out: wp.array3d(dtype=dtype),
         q_inout: wp.array3d(dtype=dtype),
         iterations_out: wp.array(dtype=wp.int32),
@@ -96,7 +96,9 @@ def make_solve_windows(dtype: type) -> wp.Kernel:
                         total = vec_block()
                         for k in range(2 * reach + 1):
                             for m in range(2 * reach + 1):
-                                total += stencil[b, k, m] * direction_blocks[b, i + k - reach, j + m - reach]
+                                total += (
+                                    stencil[b, k, m] * direction_blocks_out[b, i + k - reach, j + m - reach]
+                                )
                         for c in range(BLOCK):
                             if free[i, j + c] != 0:
                                 d = direction_out[b, i, j + c]

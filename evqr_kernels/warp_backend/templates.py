@@ -18,7 +18,7 @@ from functools import cache
 
 import warp as wp
 
-from evqr_kernels.warp_backend.language import module_of, neighbours, vector
+from evqr_kernels.warp_backend.language import last_axis_as_vector, module_of, neighbours, vector
 
 ANGLES = 8
 """Templates in a bank."""
@@ -157,7 +157,7 @@ def correlate_templates(image, bank, disc, floor, response_out, angle_out) -> No
     wp.launch(
         make_correlate_templates(image.dtype, block),
         (batch, height, -(-width // block)),
-        inputs=[neighbours(image, block), bank.view(vector(ANGLES, image.dtype)), disc, floor],
+        inputs=[neighbours(image, block), last_axis_as_vector(bank), disc, floor],
         outputs=[response_out, angle_out],
         device=image.device,
     )

@@ -1,4 +1,4 @@
-"""A call of every operation, small and crooked: odd sizes, several windows, one of them empty, events off the image.
+"""A call of every operation, small and crooked: odd sizes, several windows, one of them empty, events off it.
 
 Overwritten outputs and scratch hold NaN, accumulated ones something else than zero.
 """
@@ -76,7 +76,7 @@ def motion_correlation(rng, dtype, radius=5):
     first, second = (rng.normal(size=(B, Y, X)) * (rng.random((B, Y, X)) < 0.3) for _ in range(2))
     shifts = 2 * radius + 1
     outputs = [filled((B, Y, shifts, shifts), dtype), filled((B, shifts, shifts), dtype)]
-    return Call("motion_correlation", [first.astype(dtype), second.astype(dtype), radius], outputs)
+    return Call("motion_correlation", [first.astype(dtype), second.astype(dtype), radius], outputs, scratch=1)
 
 
 def reduce_image(rng, dtype):
@@ -130,7 +130,7 @@ def code_rhs(rng, dtype, modules=11, samples=3):
 
 
 def system(rng, dtype, modules):
-    """A positive definite stencil with damping, a right-hand side, free modules up to the border, and a start."""
+    """Arguments of `solve_code`: positive definite, with free modules up to the border."""
     taps = rng.normal(size=(B, 3, 3))
     stencil = np.zeros((B, 5, 5))
     for b in range(B):
@@ -144,7 +144,9 @@ def system(rng, dtype, modules):
 
 def render_affine(rng, dtype):
     grid = rng.normal(size=(B, 7, 6)).astype(dtype)
-    return Call("render_affine", [grid, affines(dtype), np.array([0.0, 1.0, -0.5], dtype)], [filled((B, Y, X), dtype)])
+    return Call(
+        "render_affine", [grid, affines(dtype), np.array([0.0, 1.0, -0.5], dtype)], [filled((B, Y, X), dtype)]
+    )
 
 
 def affines(dtype):
@@ -192,4 +194,4 @@ CALLS = [
     brightness_residual,
     brightness_residual_adjoint,
 ]
-"""`solve_code` updates its input in place and has a file of its own."""
+"""All but `solve_code` and `align_poses`, which update an input in place and have files of their own."""

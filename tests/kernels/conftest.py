@@ -1,4 +1,4 @@
-"""Every operation runs on every backend that is compared with the specification, on every device, in both precisions."""
+"""Every operation runs on every backend but the specification, on every device, in both precisions."""
 
 import numpy as np
 import pytest

@@ -1,4 +1,4 @@
-"""Calling operations on NumPy arrays, and the three comparisons: with the specification, by dot product, by differences."""
+"""Calling operations on NumPy arrays; comparing with the specification, by dot product, by differences."""
 
 import numpy as np
 
@@ -26,7 +26,11 @@ class Runner:
         return [np.array(self.backend.to_host(array)) for array in results]
 
     def _put(self, argument):
-        return self.backend.from_host(argument.copy(), self.device) if isinstance(argument, np.ndarray) else argument
+        return (
+            self.backend.from_host(argument.copy(), self.device)
+            if isinstance(argument, np.ndarray)
+            else argument
+        )
 
 
 def assert_close(got, expected, tolerance=None):
@@ -37,12 +41,17 @@ def assert_close(got, expected, tolerance=None):
         np.testing.assert_array_equal(got, expected)
         return
     scale = np.abs(expected).max(initial=0.0)
-    np.testing.assert_allclose(got, expected, rtol=0, atol=(tolerance or TOLERANCE[got.dtype]) * max(scale, 1e-30))
+    np.testing.assert_allclose(
+        got, expected, rtol=0, atol=(tolerance or TOLERANCE[got.dtype]) * max(scale, 1e-30)
+    )
 
 
 def assert_adjoint(a_x, y, x, adjoint_y):
     """<A x, y> == <x, A^T y>, in double precision from here on, relative to the sizes of the vectors."""
-    left, right = np.vdot(a_x.astype(float), y.astype(float)), np.vdot(x.astype(float), adjoint_y.astype(float))
+    left, right = (
+        np.vdot(a_x.astype(float), y.astype(float)),
+        np.vdot(x.astype(float), adjoint_y.astype(float)),
+    )
     size = np.linalg.norm(a_x.astype(float)) * np.linalg.norm(y.astype(float))
     assert size > 0
     assert abs(left - right) <= {4: 1e-5, 8: 1e-12}[a_x.dtype.itemsize] * size

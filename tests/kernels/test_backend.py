@@ -1,0 +1,167 @@
+"""The registry of backends: lazy, and plain about what is wrong."""
+
+import logging
+import subprocess
+import sys
+
+import numpy as np
+import pytest
+
+import evqr_kernels
+from evqr_kernels import BackendUnavailable, backend, get_backend, register_backend
+from evqr_kernels.backend import OPS, require_device
+
+HEAVY = ("warp", "taichi", "torch", "jax", "evqr_kernels.warp_backend", "evqr_kernels.numpy_backend")
+
+
+@pytest.fixture
+def registry(monkeypatch):
+    """A registry that forgets what a test does to it."""
+    monkeypatch.setattr(backend, "_targets", dict(backend._targets))
+    monkeypatch.setattr(backend, "_loaded", dict(backend._loaded))
+
+
+def run(code, **options):
+    return subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True, **options)
+
+
+def test_import_loads_no_backend():
+    done = run(f"import sys, evqr_kernels; print([name for name in {HEAVY} if name in sys.modules])")
+    assert done.stdout.strip() == "[]"
+
+
+def test_warp_loads_in_silence():
+    """Neither a greeting nor a warning of a machine without a GPU, nor a line a module."""
+    code = """
+import numpy as np, evqr_kernels
+backend = evqr_kernels.get_backend("warp")
+one = np.zeros(1, np.float32)
+evqr_kernels.bin_events(one, one, one, np.array([0, 1], np.int32), shape=(1, 1))
+"""
+    done = run(code)
+    assert done.stdout == ""
+    assert done.stderr == ""
+
+
+def test_what_native_code_prints_is_passed_on():
+    code = """
+import os
+from evqr_kernels.warp_backend import _without_driver_warning
+with _without_driver_warning():
+    os.write(2, b"Warp CUDA warning: Could not find or load the NVIDIA CUDA driver. None\\nsomething else\\n")
+os.write(2, b"after\\n")
+"""
+    assert run(code).stderr == "something else\nafter\n"
+
+
+def test_auto_is_warp_and_logged(registry, caplog):
+    backend._loaded.clear()
+    with caplog.at_level(logging.INFO, logger="evqr_kernels.backend"):
+        assert get_backend().name == get_backend("auto").name == "warp"
+    assert caplog.messages == ["backend 'auto' is 'warp'"]
+
+
+@pytest.mark.parametrize("name", ["numpy", "warp"])
+def test_backend_is_complete_and_made_once(name):
+    made = get_backend(name)
+    assert made is get_backend(name)
+    assert made.name == name
+    assert made.devices()[0] == "cpu"
+    assert [op for op in OPS if not callable(getattr(made, op, None))] == []
+
+
+@pytest.mark.parametrize("name", ["numpy", "warp"])
+def test_arrays_on_the_cpu_are_the_same_memory(name):
+    made = get_backend(name)
+    for dtype in (np.float32, np.float64, np.int32):
+        host = np.arange(6, dtype=dtype).reshape(2, 3)
+        there = made.from_host(host, "cpu")
+        assert np.shares_memory(made.to_host(there), host)
+        assert made.to_host(made.empty((2, 0, 3), dtype, "cpu")).shape == (2, 0, 3)
+
+
+def test_unknown_name_lists_the_known(registry):
+    with pytest.raises(ValueError, match="backend must be one of auto, numpy, warp, taichi, got 'cupy'"):
+        get_backend("cupy")
+
+
+def test_missing_module_names_cause_and_remedy(registry):
+    register_backend("taichi", "a_module_that_is_not_there:load")
+    with pytest.raises(
+        BackendUnavailable, match=r"'taichi' cannot be loaded \(ModuleNotFoundError: No module"
+    ) as info:
+        get_backend("taichi")
+    assert isinstance(info.value, ImportError)
+    assert isinstance(info.value.__cause__, ModuleNotFoundError)
+    assert info.value.name == "a_module_that_is_not_there"
+
+
+def test_missing_dependency_names_the_extra(registry, tmp_path, monkeypatch):
+    (tmp_path / "needy_backend.py").write_text("import a_library_that_is_not_there\n")
+    monkeypatch.syspath_prepend(str(tmp_path))
+    register_backend("taichi", "needy_backend:load")
+    with pytest.raises(BackendUnavailable, match=r'pip install "evqr\[taichi\]"'):
+        get_backend("taichi")
+
+
+def test_a_named_backend_never_falls_back(registry):
+    register_backend("warp", "a_module_that_is_not_there:load")
+    for name in ("warp", "auto"):
+        with pytest.raises(BackendUnavailable):
+            get_backend(name)
+
+
+def test_registered_backend_is_loaded_when_asked_for(registry):
+    register_backend("other", "evqr_kernels.numpy_backend:NumpyBackend")
+    assert "other" in evqr_kernels.backend_names()
+    assert get_backend("other") is get_backend("other")
+    assert get_backend("other") is not get_backend("numpy")
+
+
+@pytest.mark.parametrize("target", ["module", "module:", ":attribute", ""])
+def test_bad_target(registry, target):
+    with pytest.raises(ValueError, match="target must be 'module:attribute', got"):
+        register_backend("other", target)
+
+
+def test_auto_cannot_be_registered(registry):
+    with pytest.raises(ValueError, match="name must not be 'auto'"):
+        register_backend("auto", "module:attribute")
+
+
+@pytest.mark.parametrize("name", ["numpy", "warp"])
+def test_absent_device_lists_those_there_are(name):
+    made = get_backend(name)
+    with pytest.raises(ValueError, match=rf"device of {name} must be one of cpu.*, got 'cuda:99'"):
+        require_device(made, "cuda:99")
+    assert "cuda:99" in made.supports("bin_events", np.float32, "cuda:99")
+    assert "no operation 'sort'" in made.supports("sort", np.float32, "cpu")
+
+
+def test_warp_refuses_an_absent_device():
+    made = get_backend("warp")
+    for call in (
+        lambda: made.empty((1,), np.float32, "cuda:99"),
+        lambda: made.from_host(np.zeros(1, np.float32), "cuda:99"),
+        lambda: made.load("cuda:99"),
+    ):
+        with pytest.raises(ValueError, match="got 'cuda:99'"):
+            call()
+
+
+def test_nothing_is_left_to_compile_after_loading():
+    for name in ("numpy", "warp"):
+        made = get_backend(name)
+        made.load("cpu")
+        assert not made.needs_compile("cpu")
+
+
+def test_an_empty_cache_needs_compiling(tmp_path):
+    """In a cache of its own, since compiled kernels stay."""
+    code = f"""
+import warp as wp
+wp.config.kernel_cache_dir = {str(tmp_path)!r}
+from evqr_kernels import get_backend
+print(get_backend("warp").needs_compile())
+"""
+    assert run(code).stdout.strip() == "True"

@@ -1,0 +1,168 @@
+"""Laws of the other operations, batches, and threads."""
+
+from concurrent.futures import ThreadPoolExecutor
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+import evqr_kernels
+
+from . import cases
+from .helpers import assert_close, filled
+
+WINDOWED = [
+    "splat_events",
+    "motion_correlation",
+    "reduce_image",
+    "correlate_templates",
+    "code_rhs",
+    "render_affine",
+    "render_affine_adjoint",
+    "brightness_residual",
+    "brightness_residual_adjoint",
+]
+
+
+def one_window(make, rng_seed, dtype, b):
+    """The call with window b alone."""
+    call = make(np.random.default_rng(rng_seed), dtype)
+    shared = {"correlate_templates": (1, 2), "code_rhs": (2, 3, 4)}.get(call.op, ())
+    inputs = []
+    if call.op == "splat_events":
+        ptr = call.inputs[4]
+        part = slice(ptr[b], ptr[b + 1])
+        inputs = [column[part] for column in call.inputs[:4]]
+        inputs.append(np.array([0, ptr[b + 1] - ptr[b]], np.int32))
+    for k in range(len(inputs), len(call.inputs)):
+        argument = call.inputs[k]
+        batched = isinstance(argument, np.ndarray) and k not in shared
+        inputs.append(argument[b : b + 1] if batched else argument)
+    call.inputs = inputs
+    call.outputs = [output[b : b + 1] for output in call.outputs]
+    return call
+
+
+@pytest.mark.parametrize("op", WINDOWED)
+def test_a_batch_equals_its_windows_one_by_one(op, placed, dtype):
+    """Bit for bit where one thread at a time adds up."""
+    make = getattr(cases, op)
+    together = make(np.random.default_rng(5), dtype).run(placed)
+    for b in range(cases.B):
+        alone = one_window(make, 5, dtype, b).run(placed)
+        for whole, part in zip(together, alone, strict=True):
+            if placed.device == "cpu":
+                np.testing.assert_array_equal(whole[b : b + 1], part)
+            else:
+                assert_close(whole[b : b + 1], part)
+
+
+def test_windows_on_threads_equal_windows_in_turn(placed, dtype):
+    """Disjoint windows may run on as many threads as one likes."""
+    calls = [one_window(cases.splat_events, 5, dtype, b % cases.B) for b in range(24)]
+    in_turn = [call.run(placed)[0] for call in calls]
+    with ThreadPoolExecutor(3) as pool:
+        at_once = list(pool.map(lambda call: call.run(placed)[0], calls))
+    for one, other in zip(in_turn, at_once, strict=True):
+        np.testing.assert_array_equal(one, other)
+
+
+@given(dx=st.integers(-4, 4), dy=st.integers(-4, 4))
+def test_correlation_peaks_at_the_displacement(dx, dy):
+    rng = np.random.default_rng(11)
+    first = np.zeros((1, 24, 31))
+    first[0, 6:18, 6:25] = rng.normal(size=(12, 19))
+    second = np.roll(first, (dy, dx), axis=(1, 2))
+    surface = evqr_kernels.motion_correlation(first, second, radius=4)[0]
+    assert np.unravel_index(surface.argmax(), surface.shape) == (dy + 4, dx + 4)
+    np.testing.assert_allclose(surface.max(), np.sum(first * first), rtol=1e-12)
+
+
+@pytest.mark.parametrize("ratio", [1.0, 1.25, 2.0, 3.7])
+def test_reduction_keeps_the_sum(ratio, dtype, rng):
+    image = rng.normal(size=(2, 23, 31)).astype(dtype)
+    small = evqr_kernels.reduce_image(image, ratio=ratio)
+    np.testing.assert_allclose(small.sum(axis=(1, 2)), image.sum(axis=(1, 2)), rtol=0, atol=1e-4)
+    if ratio == 1.0:
+        np.testing.assert_array_equal(small, image)
+
+
+def test_a_template_answers_to_itself_with_its_sign_and_angle(placed, dtype, rng):
+    """At its own place the response is the norm over the root of energy and floor; inverted: minus that."""
+    n = 7
+    bank = rng.normal(size=(n, n, 8))
+    bank /= np.sqrt((bank**2).sum(axis=(0, 1)))
+    for angle, sign in ((0, 1), (3, -1), (7, 1)):
+        image = np.zeros((1, 20 + n - 1, 20 + n - 1))
+        image[0, 9 : 9 + n, 5 : 5 + n] = sign * bank[..., angle]
+        inputs = [image, bank, np.ones((n, n)), np.array([1e-3])]
+        outputs = [filled((1, 20, 20), dtype), np.full((1, 20, 20), -1, np.int32)]
+        response, best = placed("correlate_templates", [a.astype(dtype) for a in inputs], outputs)
+        place = np.unravel_index(np.abs(response).argmax(), response.shape)
+        assert place == (0, 9, 5)
+        assert best[place] == angle
+        np.testing.assert_allclose(response[place], sign / np.sqrt(1.001), rtol=1e-5)
+
+
+def test_quiet_places_do_not_answer(placed, dtype, rng):
+    call = cases.correlate_templates(rng, dtype)
+    call.inputs[3][:] = 1e6
+    response, angle = call.run(placed)
+    np.testing.assert_array_equal(response, 0)
+    np.testing.assert_array_equal(angle, 0)
+
+
+def test_inactive_poses_are_left_as_they_are(placed, dtype, rng):
+    inputs = cases.moment_inputs(rng, dtype)
+    _, moments = placed("sample_moments", inputs, [filled((4, 3, 6), dtype), filled((4, 6), dtype, 7.0)])
+    np.testing.assert_array_equal(moments[1], 7.0)
+    assert (moments[[0, 2, 3]] != 7.0).all()
+
+
+@pytest.mark.parametrize("chunks", [1, 2, 7, 700, 900])
+def test_any_number_of_chunks(chunks, placed, spec, dtype, rng):
+    call = cases.sample_moments(rng, dtype)
+    expected = call.run(spec)
+    call.outputs[0] = filled((4, chunks, 6), dtype)
+    assert_close(*call.run(placed), *expected)
+
+
+def test_moments_of_poses_that_see_nothing(placed, dtype, rng):
+    call = cases.sample_moments(rng, dtype)
+    call.inputs[2][:] = [[1, 0, 1e4, 0, 1, 0, 0, 0, 1], [0] * 9, [np.nan] * 9, [1, 0, 0, 0, 1, -50, 0, 0, 1]]
+    np.testing.assert_array_equal(call.run(placed)[0], 0)
+
+
+def test_moments_of_no_points(placed, dtype, rng):
+    call = cases.sample_moments(rng, dtype)
+    call.inputs[4], call.inputs[5] = call.inputs[4][:0], call.inputs[5][:0]
+    np.testing.assert_array_equal(call.run(placed)[0], 0)
+
+
+def test_right_hand_side_is_the_transpose_of_the_model(dtype, rng):
+    """<A q, E> == <q, A^T E> with A written out from its definition."""
+    modules, samples = 9, 4
+    profile, slope = rng.normal(size=(2, 5 * samples))
+    count = modules * samples
+    model = np.zeros((count, modules)), np.zeros((count, modules))
+    for matrix, along in zip(model, (profile, slope), strict=True):
+        for j in range(modules):
+            for k in range(5 * samples):
+                if 0 <= (row := (j - 2) * samples + k) < count:
+                    matrix[row, j] = along[k]
+    gain, q, image = (
+        rng.normal(size=2),
+        rng.normal(size=(modules, modules)),
+        rng.normal(size=(1, count, count)),
+    )
+    b, slope_b = model
+    a_q = gain[0] * b @ q @ slope_b.T + gain[1] * slope_b @ q @ b.T
+    # each lattice point looks at one pixel; the last row and column lie on the border, which is outside
+    image[:, -1], image[:, :, -1] = 0, 0
+    lattice = (np.arange(count) + 0.5) / samples
+    pose = np.array([[samples, 0, -0.5, 0, samples, -0.5, 0, 0, 1.0]])
+    arrays = [image, pose, lattice, profile, slope, gain[None]]
+    rhs = evqr_kernels.code_rhs(*(a.astype(dtype) for a in arrays), samples_a_module=samples)
+    size = np.linalg.norm(a_q) * np.linalg.norm(image)
+    assert abs(np.vdot(a_q, image) - np.vdot(q, rhs[0])) < (1e-5 if dtype == np.float32 else 1e-12) * size

@@ -1,0 +1,245 @@
+"""The checked functions: what they allocate, what they refuse, and in which words."""
+
+import numpy as np
+import pytest
+
+import evqr_kernels
+from evqr_kernels import backend, ops, register_backend
+from evqr_kernels.backend import OPS
+
+from . import cases
+
+E, B, Y, X = 10, 2, 9, 12
+
+
+def f32(*shape):
+    return np.zeros(shape, np.float32)
+
+
+PTR = np.array([0, 4, E], np.int32)
+TABLE = np.eye(20, 4, dtype=np.float32)
+TERMS = np.zeros((8, 4), np.int32), np.full((8, 4), 3, np.int32)
+
+GOOD = {
+    "bin_events": ([f32(E), f32(E), f32(E), PTR], {"shape": (Y, X)}),
+    "splat_events": ([f32(E), f32(E), f32(E), f32(E), PTR, f32(B, 2)], {"shape": (Y, X)}),
+    "splat_events_adjoint": ([f32(E), f32(E), f32(E), f32(E), PTR, f32(B, 2), f32(B, Y, X)], {}),
+    "motion_correlation": ([f32(B, Y, X), f32(B, Y, X)], {"radius": 2}),
+    "reduce_image": ([f32(B, Y, X)], {"ratio": 1.5}),
+    "correlate_templates": ([f32(B, Y, X), f32(5, 5, 8), f32(5, 5), f32(B) + 1], {}),
+    "sample_moments": ([f32(B, Y, X), np.zeros(3, np.int32), f32(3, 9), f32(20, 2), f32(20, 4)], {}),
+    "sample_moments_adjoint": (
+        [f32(B, Y, X), np.zeros(3, np.int32), f32(3, 9), f32(20, 2), f32(20, 4), f32(3, 5)],
+        {},
+    ),
+    "align_poses": (
+        [f32(B, Y, X), np.zeros(3, np.int32), f32(3, 9) + 1, f32(20, 2), TABLE, *TERMS],
+        {"centre": 0.0, "scale": 1.0},
+    ),
+    "code_rhs": ([f32(B, Y, X), f32(B, 9), f32(14), f32(10), f32(10), f32(B, 2)], {"samples_a_module": 2}),
+    "solve_code": ([f32(B, 7, 7), f32(B, 5, 5), f32(B) + 1, np.ones((7, 7), np.int32), f32(B, 7, 7)], {}),
+    "render_affine": ([f32(B, 6, 5), f32(B, 6), f32(B)], {"shape": (Y, X)}),
+    "render_affine_adjoint": ([f32(B, 6, 5), f32(B, 6), f32(B), f32(B, Y, X)], {}),
+    "brightness_residual": ([f32(B, Y, X), f32(B, Y, X), f32(B, 2)], {}),
+    "brightness_residual_adjoint": ([f32(B, Y, X), f32(B, 2), f32(B, Y, X)], {}),
+}
+
+
+def call(op, *, backend="numpy", **changes):
+    """Call with good arguments, some of them changed, by position or by name."""
+    arrays, options = GOOD[op]
+    arrays = list(arrays)
+    for name, value in changes.items():
+        if name.startswith("arg"):
+            arrays[int(name[3:])] = value
+        else:
+            options = {**options, name: value}
+    return getattr(evqr_kernels, op)(*arrays, backend=backend, **options)
+
+
+def as_tuple(results):
+    return results if isinstance(results, tuple) else (results,)
+
+
+def test_every_operation_has_a_checked_function():
+    assert set(GOOD) == set(OPS) <= set(evqr_kernels.__all__)
+
+
+@pytest.mark.parametrize("op", OPS)
+def test_good_arguments_pass_on_both_backends(op):
+    for one, other in zip(as_tuple(call(op)), as_tuple(call(op, backend="warp")), strict=True):
+        np.testing.assert_allclose(one, other, atol=1e-6)
+
+
+@pytest.mark.parametrize("op", sorted(set(OPS) - {"solve_code", "align_poses", "correlate_templates"}))
+def test_results_are_those_of_the_backend(op, rng, spec):
+    """The function allocates and passes on: the same numbers as the method of the specification."""
+    made = getattr(cases, op)(rng, np.float64)
+    for output in made.outputs:
+        output[:] = 0
+    expected = made.run(spec)
+    arrays = [a for a in made.inputs if isinstance(a, np.ndarray)]
+    options = {
+        "bin_events": {"reduction": 2.0},
+        "reduce_image": {"ratio": 1.25},
+        "code_rhs": {"samples_a_module": 3},
+    }
+    options = options.get(op, {"radius": 5} if op == "motion_correlation" else {})
+    if op.startswith("splat"):
+        options = {"lag": arrays.pop(6), "frame": arrays.pop(6)}
+    if op.startswith("sample"):
+        options = {"active": arrays.pop(3)}
+    if op in ("bin_events", "splat_events", "render_affine"):
+        options["shape"] = made.outputs[0].shape[1:]
+    got = getattr(evqr_kernels, op)(*arrays, **options, backend="numpy")
+    for one, other in zip(as_tuple(got), expected, strict=True):
+        np.testing.assert_allclose(one, other, rtol=0, atol=1e-12 * np.abs(other).max())
+
+
+@pytest.mark.parametrize("name", ["numpy", "warp"])
+def test_out_is_accumulated_or_overwritten_in_place(name):
+    ones = np.ones(E, np.float32)
+    out = np.full((B, Y, X), 2, np.float32)
+    image = call("bin_events", arg2=ones, out=out, shape=None, backend=name)
+    assert image is out
+    np.testing.assert_array_equal(out[:, 0, 0], [6, 8])
+    out[:] = np.nan
+    assert (
+        call("render_affine", arg2=f32(B) + 3, arg0=f32(B, 6, 5) + 3, out=out, shape=None, backend=name)
+        is out
+    )
+    np.testing.assert_array_equal(out, 3)
+
+
+def test_out_that_is_not_contiguous():
+    wide = np.zeros((B, Y, 2 * X), np.float32)
+    call("bin_events", arg2=np.ones(E, np.float32), out=wide[:, :, ::2], shape=None, backend="warp")
+    np.testing.assert_array_equal(wide[:, 0, 0], [4, 6])
+
+
+def test_inputs_are_left_alone():
+    start = np.ones((B, 7, 7), np.float32)
+    q, iterations = call("solve_code", arg0=start + 1, arg1=np.ones((B, 1, 1), np.float32), arg4=start)
+    np.testing.assert_array_equal(start, 1)
+    np.testing.assert_allclose(q, -1)
+    np.testing.assert_array_equal(iterations, 1)
+
+
+@pytest.mark.parametrize("shape", [(5, 5), (6, 7), (9, 4), (2, 2)])
+def test_templates_on_small_images(shape):
+    response, angle = call("correlate_templates", arg0=np.ones((B, *shape), np.float32), backend="warp")
+    expected = tuple(max(0, side - 4) for side in shape)
+    assert response.shape == angle.shape == (B, *expected)
+
+
+BAD = [
+    (
+        "render_affine",
+        {"arg1": f32(4, 5)},
+        ValueError,
+        "affine must have shape (B, 6) with B = 2, got (4, 5)",
+    ),
+    (
+        "render_affine",
+        {"arg1": f32(B, 5)},
+        ValueError,
+        "affine must have shape (B, 6) with B = 2, got (2, 5)",
+    ),
+    ("render_affine", {"arg0": f32(B, 6)}, ValueError, "grid must have shape (B, G, H), got (2, 6)"),
+    ("render_affine", {"shape": None}, TypeError, "shape of the image must be given when there is no out"),
+    ("render_affine", {"out": f32(3, Y, X)}, ValueError, "out must have shape (B, Y, X) with B = 2"),
+    ("bin_events", {"arg1": f32(E + 1)}, ValueError, "y must have shape (E,) with E = 10, got (11,)"),
+    ("bin_events", {"arg0": [1.0]}, TypeError, "x must be a NumPy array, got list"),
+    ("bin_events", {"arg0": np.zeros(E, int)}, TypeError, "x must be float32 or float64, got int64"),
+    (
+        "bin_events",
+        {"arg2": np.zeros(E)},
+        TypeError,
+        "weight must be float32 like the arrays before it, got float64",
+    ),
+    ("bin_events", {"arg3": PTR.astype(np.int64)}, TypeError, "window_ptr must be int32, got int64"),
+    ("bin_events", {"arg3": PTR[:2]}, ValueError, "window_ptr must go from 0 to 10, got 0 to 4"),
+    ("bin_events", {"arg3": PTR[:0]}, ValueError, "window_ptr must have shape (B + 1,), got (0,)"),
+    (
+        "bin_events",
+        {"arg3": np.array([0, 6, 4, E], np.int32)},
+        ValueError,
+        "window_ptr must not decrease, got 4 after 6",
+    ),
+    ("bin_events", {"reduction": 0.0}, ValueError, "reduction must be at least 1e-06, got 0.0"),
+    ("splat_events", {"frame": f32(B, 3)}, ValueError, "frame must have a positive scale, got 0.0"),
+    ("splat_events", {"lag": f32(B, 3)}, ValueError, "lag must have shape (B, 2) with B = 2, got (2, 3)"),
+    ("motion_correlation", {"radius": -1}, ValueError, "radius must be at least 0, got -1"),
+    ("motion_correlation", {"arg1": f32(B, Y, X + 1)}, ValueError, "B = 2, Y = 9, X = 12, got (2, 9, 13)"),
+    ("reduce_image", {"ratio": 0.5}, ValueError, "ratio must be at least 1.0, got 0.5"),
+    ("reduce_image", {"ratio": float("nan")}, ValueError, "ratio must be at least 1.0, got nan"),
+    ("correlate_templates", {"arg1": f32(5, 5, 7)}, ValueError, "bank must have shape (N, N, 8) with N = 5"),
+    (
+        "correlate_templates",
+        {"arg2": f32(5, 4)},
+        ValueError,
+        "disc must have shape (N, N) with N = 5, got (5, 4)",
+    ),
+    (
+        "sample_moments",
+        {"arg1": np.array([0, 1, 2], np.int32)},
+        ValueError,
+        "image_idx must be 0 to 1, got 0 to 2",
+    ),
+    ("sample_moments", {"active": np.ones(3)}, TypeError, "active must be int32, got float64"),
+    (
+        "sample_moments_adjoint",
+        {"arg5": f32(3, 4)},
+        ValueError,
+        "adj_moments must have shape (N, 5) with N = 3",
+    ),
+    ("align_poses", {"arg5": np.zeros((9, 4), np.int32)}, ValueError, "factors must have shape (P + 2, 4)"),
+    ("align_poses", {"arg5": np.full((8, 4), 4, np.int32)}, ValueError, "terms must be 0 to 3, got 4 to 4"),
+    ("code_rhs", {"samples_a_module": 0}, ValueError, "samples_a_module must be at least 1, got 0"),
+    ("solve_code", {"arg1": f32(B, 4, 4)}, ValueError, "stencil must have an odd side, got (2, 4, 4)"),
+    ("solve_code", {"max_iterations": -1}, ValueError, "max_iterations must be at least 0, got -1"),
+    (
+        "brightness_residual",
+        {"arg2": f32(3, 2)},
+        ValueError,
+        "motion must have shape (B, 2) with B = 2, got (3, 2)",
+    ),
+    ("brightness_residual", {"backend": "nothing"}, ValueError, "backend must be one of auto"),
+    (
+        "brightness_residual",
+        {"device": "cuda:99"},
+        ValueError,
+        "device of numpy must be one of cpu, got 'cuda:99'",
+    ),
+]
+
+
+@pytest.mark.parametrize(("op", "changes", "error", "message"), BAD)
+def test_bad_arguments(op, changes, error, message):
+    with pytest.raises(error) as info:
+        call(op, **changes)
+    assert message in str(info.value)
+    assert "\n" not in str(info.value)
+
+
+def test_refused_operation_gives_the_reason(monkeypatch):
+    monkeypatch.setattr(backend, "_targets", dict(backend._targets))
+    monkeypatch.setattr(backend, "_loaded", dict(backend._loaded))
+    register_backend("choosy", f"{__name__}:Choosy")
+    with pytest.raises(NotImplementedError, match="choosy refuses reduce_image: out of order"):
+        call("reduce_image", backend="choosy")
+
+
+class Choosy:
+    name = "choosy"
+
+    def devices(self):
+        return ("cpu",)
+
+    def supports(self, op, dtype, device):
+        return "out of order"
+
+
+def test_functions_document_what_they_take():
+    for op in OPS:
+        assert "Returns\n" in getattr(ops, op).__doc__

@@ -1,0 +1,127 @@
+"""Conjugate gradients: against a dense solution, and both variants of the Warp backend."""
+
+import numpy as np
+import pytest
+
+from . import cases
+from .helpers import TOLERANCE, assert_close, filled
+
+EXACT = {np.dtype(np.float32): 2e-4, np.dtype(np.float64): 1e-9}
+"""A solution is its condition, some tens here, worse than the rounding of its steps."""
+
+
+def solve(runner, system, *, max_iterations=200, tolerance=0.0, op="solve_code"):
+    """Copy, solve, and give q and the number of iterations."""
+    rhs, stencil, damping, free, start = system
+    backend, device, dtype = runner.backend, runner.device, rhs.dtype
+    q = backend.from_host(start.copy(), device)
+    iterations = backend.from_host(np.full(len(rhs), -1, np.int32), device)
+    scratch = [filled(rhs.shape, dtype) for _ in range(4)] + [filled((len(rhs), 4, rhs.shape[1]), dtype)] * 2
+    getattr(backend, op)(
+        *(backend.from_host(array.copy(), device) for array in (rhs, stencil, damping, free)),
+        q,
+        tuple(backend.from_host(array.copy(), device) for array in scratch),
+        iterations,
+        max_iterations=max_iterations,
+        tolerance=tolerance,
+    )
+    backend.synchronize(device)
+    return np.array(backend.to_host(q)), np.array(backend.to_host(iterations))
+
+
+def dense_solution(rhs, stencil, damping, free, start):
+    """The free modules of one window by a dense solver."""
+    modules, reach = len(rhs), len(stencil) // 2
+    matrix = np.zeros((modules,) * 4)
+    for i, j in np.ndindex(modules, modules):
+        for k in range(-reach, reach + 1):
+            for m in range(-reach, reach + 1):
+                if 0 <= i + k < modules and 0 <= j + m < modules:
+                    matrix[i, j, i + k, j + m] = stencil[k + reach, m + reach]
+    matrix = matrix.reshape(modules**2, modules**2) + damping * np.eye(modules**2)
+    is_free, q = free.ravel() != 0, start.ravel().astype(float)
+    fixed = matrix[np.ix_(is_free, ~is_free)] @ q[~is_free]
+    q[is_free] = np.linalg.solve(matrix[np.ix_(is_free, is_free)], -rhs.ravel()[is_free] - fixed)
+    return q.reshape(modules, modules)
+
+
+def of_window(system, b):
+    rhs, stencil, damping, free, start = system
+    return rhs[b].astype(float), stencil[b].astype(float), float(damping[b]), free, start[b].astype(float)
+
+
+@pytest.mark.parametrize("modules", [1, 2, 5, 12, 19])
+def test_specification_solves_the_system(modules, spec, dtype, rng):
+    system = cases.system(rng, dtype, modules)
+    q, _ = solve(spec, system, tolerance=float(TOLERANCE[np.dtype(dtype)]) / 10)
+    for b in range(cases.B):
+        expected = dense_solution(*of_window(system, b))
+        np.testing.assert_allclose(
+            q[b], expected, rtol=0, atol=EXACT[np.dtype(dtype)] * np.abs(expected).max()
+        )
+
+
+@pytest.mark.parametrize("modules", [1, 5, 12, 19])
+def test_equals_the_specification(modules, placed, spec, dtype, rng):
+    system = cases.system(rng, dtype, modules)
+    q, iterations = solve(placed, system, max_iterations=5)
+    expected, expected_iterations = solve(spec, system, max_iterations=5)
+    assert_close(q, expected, EXACT[np.dtype(dtype)])
+    np.testing.assert_array_equal(iterations, expected_iterations)
+
+
+def test_stops_at_the_tolerance(placed, spec, dtype, rng):
+    system = cases.system(rng, dtype, 19)
+    q, iterations = solve(placed, system, tolerance=1e-2)
+    expected, expected_iterations = solve(spec, system, tolerance=1e-2)
+    np.testing.assert_array_equal(iterations, expected_iterations)
+    assert (0 < iterations).all() and (iterations < 100).all()
+    assert_close(q, expected, EXACT[np.dtype(dtype)])
+
+
+def test_fixed_modules_stay(placed, dtype, rng):
+    system = cases.system(rng, dtype, 19)
+    q, _ = solve(placed, system, max_iterations=9)
+    fixed = system[3] == 0
+    np.testing.assert_array_equal(q[:, fixed], system[4][:, fixed])
+
+
+@pytest.mark.parametrize("what", ["nothing free", "already solved", "no iterations"])
+def test_nothing_to_do(what, placed, dtype, rng):
+    system = cases.system(rng, dtype, 9)
+    if what == "nothing free":
+        system[3][:] = 0
+    elif what == "already solved":
+        system[0][:] = 0
+        system[4][:] = 0
+    q, iterations = solve(placed, system, max_iterations=0 if what == "no iterations" else 9, tolerance=1e-3)
+    np.testing.assert_array_equal(q, system[4])
+    np.testing.assert_array_equal(iterations, 0)
+
+
+@pytest.mark.parametrize("tolerance", [0.0, 1e-2])
+def test_variant_for_gpus_equals_the_specification(tolerance, placed, spec, dtype, rng):
+    """The variant of one thread a row, which a CPU does not take by itself."""
+    if placed.backend.name != "warp":
+        pytest.skip("only the Warp backend has two variants")
+    from evqr_kernels.warp_backend import solve as warp_solve
+
+    class Rows:
+        from_host, to_host, synchronize = (
+            placed.backend.from_host,
+            placed.backend.to_host,
+            placed.backend.synchronize,
+        )
+
+        @staticmethod
+        def solve_code(rhs, stencil, damping, free, q, scratch, iterations, *, max_iterations, tolerance):
+            arguments = (rhs, stencil, damping, free, scratch, q, iterations)
+            warp_solve.solve_rows(*arguments, max_iterations, tolerance)
+
+    system = cases.system(rng, dtype, 12)
+    rows = type("RowsRunner", (), {"backend": Rows, "device": placed.device})
+    limit = 5 if tolerance == 0.0 else 100
+    q, iterations = solve(rows, system, max_iterations=limit, tolerance=tolerance)
+    expected, expected_iterations = solve(spec, system, max_iterations=limit, tolerance=tolerance)
+    assert_close(q, expected, EXACT[np.dtype(dtype)])
+    np.testing.assert_array_equal(iterations, expected_iterations)
