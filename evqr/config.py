@@ -82,7 +82,6 @@ class StageOneConfig:
     Attributes
     ----------
     cells_a_module     resolution of the image around the code: cells a module
-    epsilon_cells      standard deviation of an event's splat [cells]
     sigma              blur of the model at the last level [modules]
     coarse_sigmas      blurs of the levels before it when the pose is only roughly known [modules]
     samples            samples a module at the last level
@@ -96,7 +95,6 @@ class StageOneConfig:
     """
 
     cells_a_module: float = 2.2
-    epsilon_cells: float = 0.8
     sigma: float = 0.36
     coarse_sigmas: tuple[float, ...] = (0.9, 0.5)
     samples: int = 2

@@ -1,9 +1,9 @@
 """How far the pixels lag: one time constant for ON and one for OFF events.
 
 A photoreceptor is a first-order low-pass, tau dY/dt + Y = X.  Seen from the moving code that smears the image along the motion over
-lag = |v| tau px, and one directional derivative undoes it (`evqr_kernels`, splat_events).  OFF events lag about twice as much as ON
-events: a darker pixel is slower.  The image is linear in both lags, so four images (ON and OFF, plain and differentiated) give it for
-every pair of lags; the pair is taken whose image agrees best with the known modules.
+lag = |v| tau px, and one directional derivative undoes it (`evqr_kernels`, lag_operator).  OFF events lag about twice as much as ON
+events: a darker pixel is slower.  One deposit of the events gives the image for every pair of lags; the pair is taken whose image
+agrees best with the known modules.
 
 The image must be blurred by about a quarter of a module, as regions are, or the comparison favours small lags: sharpening also
 sharpens noise.
@@ -15,7 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from evqr.config import StageOneConfig
-from evqr.region import Region, splat_region
+from evqr.region import Region, deposit, sharpen
 from evqr.stage_one import Alignment, align, fine_levels
 from evqr.windows import Window
 from evqr.workspace import Workspace
@@ -52,19 +52,10 @@ def estimate_lag(
     alignment   of the pose with these lags, one hypothesis
     """
     direction = velocity / np.hypot(*velocity)
-    plain, slope = [], []
-    for sign in (1.0, -1.0):
-        part = window.keep(window.p * sign > 0.0)
-        image = splat_region(part, velocity, region, cfg, workspace=workspace)
-        plain.append(workspace.get(image)[0].copy())
-        image = splat_region(part, velocity, region, cfg, workspace=workspace, lag_px=(region.cell, region.cell))
-        slope.append(workspace.get(image)[0] - plain[-1])
+    cells = deposit(window, velocity, region, workspace=workspace)
 
     def try_pairs(pairs: list[tuple[float, float]], start: list[NDArray[np.float64]]) -> Alignment:
-        images = workspace.buffer("lag images", (len(pairs), region.height, region.width))
-        values = workspace.get(images)
-        for k, (on, off) in enumerate(pairs):
-            values[k] = plain[0] + plain[1] + on / region.cell * slope[0] + off / region.cell * slope[1]
+        images = sharpen(cells, velocity, region, pairs, workspace=workspace)
         idx = np.arange(len(pairs), dtype=np.int32)
         return align(images, np.stack(start), version, fine_levels(cfg), cfg, workspace=workspace, image_idx=idx)
 

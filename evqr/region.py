@@ -1,7 +1,8 @@
-"""The image around one code: events splatted on cells that are a fixed fraction of a module."""
+"""The image around one code: events brought onto cells that are a fixed fraction of a module."""
 
 from __future__ import annotations
 
+import functools
 import math
 from dataclasses import dataclass
 from typing import Any
@@ -13,7 +14,9 @@ from evqr.config import StageOneConfig
 from evqr.model import QUIET_MODULES
 from evqr.windows import Window
 from evqr.workspace import Workspace
-from evqr_kernels.config import SplatConfig
+
+BLUR_CELLS = 0.55
+"""Blur of a region's image beyond that of the deposit, whose tent has 0.41 [cells]."""
 
 GRAIN = 16
 """Regions grow in steps of so many cells, so that their buffers are used again."""
@@ -78,30 +81,56 @@ def events_near(window: Window, velocity: NDArray[np.float64], region: Region) -
     )
 
 
-def splat_region(
-    window: Window,
-    velocity: NDArray[np.float64],
-    region: Region,
-    cfg: StageOneConfig,
-    *,
-    workspace: Workspace,
-    lag_px: tuple[float, float] = (0.0, 0.0),
-    image: Any = None,
+def deposit(
+    window: Window, velocity: NDArray[np.float64], region: Region, *, workspace: Workspace
 ) -> Any:
-    """Splat a window's events, transported to its middle, into a region; (1, height, width) on the device."""
-    if image is None:
-        image = workspace.buffer("region", (1, region.height, region.width))
-    workspace.get(image).fill(0.0)
-    workspace.backend.splat_events(
+    """Bring a window's events, transported to its middle, onto a region's cells: (1, 2, height, width), ON and OFF.
+
+    The buffer is used again by the next deposit on a region of this size.
+    """
+    cells = workspace.buffer("deposit", (1, 2, region.height, region.width))
+    workspace.clear(cells)
+    workspace.backend.deposit_events(
         workspace.put(window.x),
         workspace.put(window.y),
         workspace.put(window.t),
         workspace.put(window.p),
         workspace.put(np.array([0, len(window)], np.int32)),
         workspace.put(velocity[None].astype(np.float32)),
-        workspace.put(np.array([lag_px], np.float32) / np.float32(region.cell)),
         workspace.put(np.array([[region.x + 0.5, region.y + 0.5, region.cell]], np.float32)),
-        image,
-        SplatConfig(epsilon_px=cfg.epsilon_cells),
+        cells,
     )
-    return image
+    return cells
+
+
+def sharpen(
+    cells: Any,
+    velocity: NDArray[np.float64],
+    region: Region,
+    lags_px: list[tuple[float, float]],
+    *,
+    workspace: Workspace,
+) -> Any:
+    """Blur a deposit and undo the pixels' lag, for each pair of lags (ON, OFF) [px]: (N, height, width)."""
+    count = len(lags_px)
+    direction = velocity / max(float(np.hypot(*velocity)), 1e-9)
+    images = workspace.buffer("sharp", (count, region.height, region.width))
+    workspace.backend.lag_operator(
+        cells,
+        workspace.table(("first deposit", count), np.zeros(count, np.int32)),
+        workspace.put(np.tile(direction.astype(np.float32), (count, 1))),
+        workspace.put(np.array(lags_px, np.float32) / np.float32(region.cell)),
+        workspace.table(("blur taps",), blur_taps(BLUR_CELLS)),
+        workspace.buffer("sharp rows", (count, 2, region.height, region.width)),
+        images,
+    )
+    return images
+
+
+@functools.cache
+def blur_taps(sigma: float) -> NDArray[np.float32]:
+    """(2, 5): a Gaussian on five cells that sums to 1, and its slope, exact for a linear image."""
+    steps = np.arange(-2, 3)
+    blur = np.exp(-0.5 * (steps / sigma) ** 2)
+    slope = steps * blur
+    return np.stack([blur / blur.sum(), slope / (slope * steps).sum()]).astype(np.float32)

@@ -11,6 +11,7 @@ import time
 from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass, replace
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -21,7 +22,7 @@ from evqr.initial.finder import find_hypotheses, find_peaks
 from evqr.initial.motion import Motion, estimate_motion, find_motion, window_length_us
 from evqr.initial.pose import Candidate, screen
 from evqr.lag import estimate_lag
-from evqr.region import Region, events_near, region_around, splat_region
+from evqr.region import Region, deposit, events_near, region_around, sharpen
 from evqr.stage_one import Alignment, align, fine_levels, refine_from_cold
 from evqr.stage_two import NormalEquations, normal_equations
 from evqr.windows import EventBuffer, Window
@@ -243,9 +244,7 @@ class Solver:
                 candidate.pose, size_of(candidate.version), cfg, margin_px=SEARCH_MARGIN_PX
             )
             near = events_near(window, velocity, region)
-            image = splat_region(
-                near, velocity, region, cfg, workspace=self.workspace, lag_px=_lag_px(lag_us, velocity)
-            )
+            image = self._image(near, velocity, region, lag_us)
             found = refine_from_cold(
                 image, region.from_px @ candidate.pose, candidate.version, cfg, workspace=self.workspace
             )
@@ -277,6 +276,13 @@ class Solver:
             closer.events, velocity, closer.region, pose, closer.version, lag_us, iterations
         )
 
+    def _image(
+        self, window: Window, velocity: NDArray[np.float64], region: Region, lag_us: tuple[float, float] | None
+    ) -> Any:
+        """The image of a region, with the lags undone as far as they are known."""
+        cells = deposit(window, velocity, region, workspace=self.workspace)
+        return sharpen(cells, velocity, region, [_lag_px(lag_us, velocity)], workspace=self.workspace)
+
     def follow(self, window: Window, seen: Sighting) -> Sighting | None:
         """Find a code again that an earlier window saw; None when it is lost."""
         with self.clock("stage_one"):
@@ -301,9 +307,7 @@ class Solver:
         """Stage one at its finest level with the lags undone, then stage two's equations."""
         cfg, workspace = self.config, self.workspace
         with self.clock("stage_one"):
-            image = splat_region(
-                window, velocity, region, cfg.stage_one, workspace=workspace, lag_px=_lag_px(lag_us, velocity)
-            )
+            image = self._image(window, velocity, region, lag_us)
             found = align(
                 image, pose[None], version, fine_levels(cfg.stage_one), cfg.stage_one, workspace=workspace
             )

@@ -42,3 +42,7 @@ class Workspace:
     def get(self, array: Any) -> NDArray[Any]:
         """A device array on the host."""
         return self.backend.to_host(array)
+
+    def clear(self, array: Any) -> None:
+        """Fill a device array with zeros."""
+        self.backend.clear(array)

@@ -51,6 +51,10 @@ class KernelBackend(Protocol):
         """Bring an array back; on the CPU it is the same memory.  Waits for the device."""
         ...
 
+    def clear(self, array: Array) -> None:
+        """Fill an array with zeros."""
+        ...
+
     def synchronize(self, device: str) -> None:
         """Wait for everything launched on the device."""
         ...
@@ -86,6 +90,20 @@ class KernelBackend(Protocol):
         cfg: SplatConfig,
     ) -> None:  # fmt: skip
         """Adjoint of `splat_events` in weight and motion; ``chunks_out`` is (B, any number of chunks, 2)."""
+        ...
+
+    def deposit_events(
+        self, x: Array, y: Array, t: Array, weight: Array, window_ptr: Array, motion: Array, frame: Array,
+        deposit_out: Array,
+    ) -> None:  # fmt: skip
+        """Share transported events among the cells around them, ON and OFF apart (B, 2, Y, X); accumulates."""
+        ...
+
+    def lag_operator(
+        self, deposit: Array, deposit_idx: Array, direction: Array, lag: Array, taps: Array, rows_out: Array,
+        image_out: Array,
+    ) -> None:  # fmt: skip
+        """Blur deposits and undo the pixels' lag; ``taps`` is (2, odd), ``rows_out`` (N, 2, Y, X); width at least 16 + taps."""
         ...
 
     def motion_correlation(
@@ -168,6 +186,8 @@ OPS = (
     "bin_events",
     "splat_events",
     "splat_events_adjoint",
+    "deposit_events",
+    "lag_operator",
     "motion_correlation",
     "reduce_image",
     "correlate_templates",

@@ -18,12 +18,11 @@ from numpy.typing import NDArray
 from evqr.codespace import MAX_VERSION, MIN_VERSION
 from evqr.config import FinderConfig
 from evqr.model import profiles
+from evqr.region import Region, deposit, sharpen
 from evqr.windows import Window
 from evqr.workspace import Workspace
-from evqr_kernels.config import SplatConfig
 
 ANGLES = 8
-SPLAT = SplatConfig(epsilon_px=0.8)
 CLIP_RMS = 2.5
 """Cells are clipped at so many times the rms of the cells that have events: a hot pixel is no edge."""
 
@@ -163,19 +162,10 @@ def find_peaks(
         image = workspace.buffer("finder level", (1, height, width))
         cells = workspace.get(image)
         if fine is None:
-            cells.fill(0.0)
-            backend.splat_events(
-                workspace.put(window.x),
-                workspace.put(window.y),
-                workspace.put(window.t),
-                workspace.put(window.p),
-                workspace.put(np.array([0, len(window)], np.int32)),
-                workspace.put(velocity[None].astype(np.float32)),
-                workspace.put(np.array([lag_px], np.float32) / np.float32(cell)),
-                workspace.put(np.array([[0.0, 0.0, cell]], np.float32)),
-                image,
-                SPLAT,
-            )
+            region = Region(-0.5, -0.5, cell, height, width)
+            events = deposit(window, velocity, region, workspace=workspace)
+            image = sharpen(events, velocity, region, [lag_px], workspace=workspace)
+            cells = workspace.get(image)
         else:
             backend.reduce_image(fine, cfg.scale_ratio, image)
         backend.synchronize(device)

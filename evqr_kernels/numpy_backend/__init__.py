@@ -12,7 +12,7 @@ from numpy.typing import DTypeLike, NDArray
 
 from evqr_kernels.backend import OPS
 from evqr_kernels.config import DEFAULT_KERNELS, KernelSet
-from evqr_kernels.numpy_backend import align, code, motion, pose, render, residual, solve, splat, templates
+from evqr_kernels.numpy_backend import align, code, lag, motion, pose, render, residual, solve, splat, templates
 
 
 class NumpyBackend:
@@ -23,6 +23,8 @@ class NumpyBackend:
     bin_events = staticmethod(splat.bin_events)
     splat_events = staticmethod(splat.splat_events)
     splat_events_adjoint = staticmethod(splat.splat_events_adjoint)
+    deposit_events = staticmethod(lag.deposit_events)
+    lag_operator = staticmethod(lag.lag_operator)
     motion_correlation = staticmethod(motion.motion_correlation)
     reduce_image = staticmethod(templates.reduce_image)
     correlate_templates = staticmethod(templates.correlate_templates)
@@ -51,6 +53,10 @@ class NumpyBackend:
     def to_host(self, array: NDArray[Any]) -> NDArray[Any]:
         """Give the same memory."""
         return array
+
+    def clear(self, array: NDArray[Any]) -> None:
+        """Fill an array with zeros."""
+        array.fill(0)
 
     def synchronize(self, device: str) -> None:
         """Do nothing: NumPy has finished when it returns."""

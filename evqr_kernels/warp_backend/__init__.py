@@ -20,6 +20,7 @@ from evqr_kernels.config import DEFAULT_KERNELS, KernelSet
 from evqr_kernels.warp_backend import (
     align,
     code,
+    lag,
     motion,
     pose,
     render,
@@ -42,6 +43,8 @@ class WarpBackend:
     bin_events = staticmethod(splat.bin_events)
     splat_events = staticmethod(splat.splat_events)
     splat_events_adjoint = staticmethod(splat_adjoint.splat_events_adjoint)
+    deposit_events = staticmethod(lag.deposit_events)
+    lag_operator = staticmethod(lag.lag_operator)
     motion_correlation = staticmethod(motion.motion_correlation)
     reduce_image = staticmethod(templates.reduce_image)
     correlate_templates = staticmethod(templates.correlate_templates)
@@ -81,6 +84,10 @@ class WarpBackend:
         """Bring an array back; on the CPU it is the same memory.  Waits for the device."""
         return array.numpy()
 
+    def clear(self, array: wp.array) -> None:
+        """Fill an array with zeros."""
+        array.zero_()
+
     def synchronize(self, device: str) -> None:
         """Wait for everything launched on the device."""
         wp.synchronize_device(device)
@@ -112,7 +119,9 @@ def _modules(kernels: KernelSet, device: str) -> list[wp.Module]:
     f32 = wp.float32
     made = [
         splat.make_bin_events(f32),
-        *(splat.make_splat_events(f32, cfg) for cfg in kernels.splats),
+        lag.make_deposit_events(f32),
+        lag.make_lag_rows(f32),
+        lag.make_lag_columns(f32),
         motion.make_correlate_rows(f32),
         motion.make_add_rows(f32),
         templates.make_reduce_image(f32),

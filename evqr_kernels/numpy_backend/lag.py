@@ -1,0 +1,43 @@
+"""Deposits and the lag operator; the formulas are in ``warp_backend/lag.py``."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+
+def deposit_events(x, y, t, weight, window_ptr, motion, frame, deposit_out) -> None:
+    """Share events among the cells around them, ON and OFF apart; accumulates."""
+    height, width = deposit_out.shape[2:]
+    for b in range(len(motion)):
+        part = slice(window_ptr[b], window_ptr[b + 1])
+        half = x.dtype.type(0.5)
+        cx = (x[part] - t[part] * motion[b, 0] - frame[b, 0] + half) / frame[b, 2] - half
+        cy = (y[part] - t[part] * motion[b, 1] - frame[b, 1] + half) / frame[b, 2] - half
+        inside = (cx >= 0) & (cy >= 0) & (cx < width - 1) & (cy < height - 1)
+        cx, cy, w = cx[inside], cy[inside], weight[part][inside]
+        column, row = cx.astype(int), cy.astype(int)
+        fx, fy = cx - column, cy - row
+        image = (w < 0).astype(int)
+        for dy, share_y in ((0, 1 - fy), (1, fy)):
+            for dx, share_x in ((0, 1 - fx), (1, fx)):
+                np.add.at(deposit_out[b], (image, row + dy, column + dx), w * share_x * share_y)
+
+
+def lag_operator(deposit, deposit_idx, direction, lag, taps, rows_out, image_out) -> None:
+    """Blur deposits and undo the lag; overwrites."""
+    image_out[:] = 0
+    blur, slope = taps
+    reach = len(blur) // 2
+    for n, b in enumerate(deposit_idx):
+        for p in range(2):
+            across = _filter(deposit[b, p], blur, axis=1)
+            along = across - lag[n, p] * direction[n, 0] * _filter(deposit[b, p], slope, axis=1)
+            image = _filter(along, blur, axis=0) - lag[n, p] * direction[n, 1] * _filter(across, slope, axis=0)
+            image_out[n, reach:-reach, reach:-reach] += image[reach:-reach, reach:-reach]
+
+
+def _filter(image: NDArray, taps: NDArray, *, axis: int) -> NDArray:
+    """Correlate along one axis; what lies nearer to the border than the taps reach is not to be used."""
+    reach = len(taps) // 2
+    return sum(tap * np.roll(image, reach - k, axis=axis) for k, tap in enumerate(taps))
