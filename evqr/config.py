@@ -61,12 +61,12 @@ class FinderConfig:
     angle_tolerance      between leg and finder pattern, and from a right angle [rad]
     """
 
-    smallest_module_px: float = 3.0
+    smallest_module_px: float = 3.2
     largest_module_px: float = 22.0
     scale_ratio: float = 1.22
     cells_a_module: float = 1.25
     half: int = 6
-    min_response: float = 0.3
+    min_response: float = 0.35
     max_peaks: int = 64
     max_hypotheses: int = 48
     first_hypotheses: int = 6

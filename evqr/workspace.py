@@ -2,13 +2,17 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Any
+from collections.abc import Callable
+from typing import TYPE_CHECKING, Any, TypeVar
 
 import numpy as np
 from numpy.typing import DTypeLike, NDArray
 
 if TYPE_CHECKING:
     from evqr_kernels.backend import KernelBackend
+
+
+T = TypeVar("T")
 
 
 class Workspace:
@@ -31,8 +35,12 @@ class Workspace:
 
     def table(self, key: tuple[Any, ...], array: NDArray[Any]) -> Any:
         """A constant table on the device, copied there when it is first asked for."""
+        return self.once(key, lambda: self.backend.from_host(array, self.device))
+
+    def once(self, key: tuple[Any, ...], make: Callable[[], T]) -> T:
+        """Whatever ``make`` gives, made when it is first asked for."""
         if key not in self._tables:
-            self._tables[key] = self.backend.from_host(array, self.device)
+            self._tables[key] = make()
         return self._tables[key]
 
     def put(self, array: NDArray[Any]) -> Any:

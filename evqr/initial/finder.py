@@ -146,82 +146,101 @@ def find_peaks(
     pyramid   the images that were searched, finest first
     """
     backend, device = workspace.backend, workspace.device
-    speed = float(np.hypot(*velocity))
-    bank, disc = _bank(velocity / speed, cfg)
-    bank_dev, disc_dev = workspace.put(bank), workspace.put(disc)
-    pad = cfg.half
-    sizes = _module_sizes(cfg)
+    bank, disc = _bank(velocity / float(np.hypot(*velocity)), cfg)
+    bank_dev, disc_dev = workspace.put(bank), workspace.table(("finder disc", cfg), disc)
     found: list[NDArray[np.float64]] = []
     pyramid: list[PyramidLevel] = []
-    fine = None
-    for level, module_px in enumerate(sizes):
+    busy = 0.0
+    for module_px in _module_sizes(cfg):
         cell = module_px / cfg.cells_a_module
-        height, width = math.ceil(window.height / cell), math.ceil(window.width / cell)
-        if min(height, width) < 2 * pad + 1:
+        height, width = math.ceil(window.height / cell), _four(math.ceil(window.width / cell))
+        if min(height, width) < 2 * cfg.half + 1:
             break
-        image = workspace.buffer("finder level", (1, height, width))
+        padded, image = _level_buffers(height, width, cfg.half, workspace)
         cells = workspace.get(image)
-        if fine is None:
-            region = Region(-0.5, -0.5, cell, height, width)
-            events = deposit(window, velocity, region, workspace=workspace)
-            image = sharpen(events, velocity, region, [lag_px], workspace=workspace)
-            cells = workspace.get(image)
+        if pyramid:
+            backend.reduce_image(pyramid[-1].image, cfg.scale_ratio, image)
+            backend.synchronize(device)
         else:
-            backend.reduce_image(fine, cfg.scale_ratio, image)
-        backend.synchronize(device)
-        busy = float(np.count_nonzero(np.abs(cells) > 1e-6))
-        rms = math.sqrt(float(np.square(cells).sum()) / max(busy, 1.0))
-        if fine is None:
-            np.clip(cells, -CLIP_RMS * rms, CLIP_RMS * rms, out=cells)
-        fine = image
+            cells[:] = _finest(window, velocity, cell, height, width, lag_px, workspace)
+            busy = np.count_nonzero(cells) / cells.size
         pyramid.append(PyramidLevel(cell, image))
-        floor = FLOOR * rms * rms * float(disc.sum())
-        wide = _four(width)
-        padded = workspace.buffer("finder padded", (1, height + 2 * pad, wide + 2 * pad))
-        canvas = workspace.get(padded)
-        canvas.fill(0.0)
-        canvas[:, pad : pad + height, pad : pad + width] = cells
-        response = workspace.buffer("finder response", (1, height, wide))
-        angle = workspace.buffer("finder angle", (1, height, wide), np.int32)
-        backend.correlate_templates(
-            padded, bank_dev, disc_dev, workspace.put(np.array([floor], np.float32)), response, angle
-        )
+        flat = workspace.get(padded).ravel()
+        mean_square = float(np.dot(flat, flat)) / max(busy * cells.size, 1.0)
+        floor = np.array([FLOOR * mean_square * float(disc.sum())], np.float32)
+        response = workspace.buffer("finder response", (1, height, width))
+        angle = workspace.buffer("finder angle", (1, height, width), np.int32)
+        backend.correlate_templates(padded, bank_dev, disc_dev, workspace.put(floor), response, angle)
         backend.synchronize(device)
         found.append(_local_peaks(workspace.get(response)[0], workspace.get(angle)[0], module_px, cell, cfg))
+    if not found:
+        raise ValueError(
+            f"the sensor must be large enough for a finder pattern, got {window.width}x{window.height}"
+        )
     return _merge(np.concatenate(found), cfg), pyramid
+
+
+def _level_buffers(height: int, width: int, pad: int, workspace: Workspace) -> tuple[Any, Any]:
+    """A level with a border of zeros that templates may hang over, and the level inside it."""
+
+    def make() -> tuple[Any, Any]:
+        padded = workspace.backend.empty((1, height + 2 * pad, width + 2 * pad), np.float32, workspace.device)
+        workspace.clear(padded)
+        return padded, padded[:, pad : pad + height, pad : pad + width]
+
+    return workspace.once(("finder level", height, width, pad), make)
+
+
+def _finest(
+    window: Window,
+    velocity: NDArray[np.float64],
+    cell: float,
+    height: int,
+    width: int,
+    lag_px: tuple[float, float],
+    workspace: Workspace,
+) -> NDArray[np.float32]:
+    """The finest level from the events, (1, height, width); what falls on no cell is exactly 0."""
+    region = Region(-0.5, -0.5, cell, height, width)
+    events = deposit(window, velocity, region, workspace=workspace)
+    image = sharpen(events, velocity, region, [lag_px], workspace=workspace)
+    workspace.backend.synchronize(workspace.device)
+    cells = workspace.get(image)
+    flat = cells.ravel()
+    rms = math.sqrt(float(np.dot(flat, flat)) / max(np.count_nonzero(flat), 1))
+    return np.clip(cells, -CLIP_RMS * rms, CLIP_RMS * rms)
 
 
 def _local_peaks(
     response: NDArray[np.float32], angle: NDArray[np.int32], module_px: float, cell: float, cfg: FinderConfig
 ) -> NDArray[np.float64]:
     """Local maxima of |response| on one level: rows of (response, x, y, module, angle)."""
-    strength = np.abs(response)
-    rows, columns = np.nonzero(strength > cfg.min_response)
-    inside = (rows > 0) & (columns > 0) & (rows < response.shape[0] - 1) & (columns < response.shape[1] - 1)
-    rows, columns = rows[inside], columns[inside]
-    value = strength[rows, columns]
-    top = np.ones(len(rows), bool)
-    for dy in (-1, 0, 1):
-        for dx in (-1, 0, 1):
-            top &= value >= strength[rows + dy, columns + dx]
-    rows, columns, value = rows[top], columns[top], value[top]
-    if len(rows) > cfg.max_peaks:
+    height, width = response.shape
+    flat = response.ravel()
+    at = np.flatnonzero(np.square(flat) > cfg.min_response**2)
+    rows, columns = np.divmod(at, width)
+    inside = (rows > 0) & (columns > 0) & (rows < height - 1) & (columns < width - 1)
+    at, rows, columns = at[inside], rows[inside], columns[inside]
+    value = np.abs(flat[at])
+    for step in (-width - 1, -width, -width + 1, -1, 1, width - 1, width, width + 1):
+        top = value >= np.abs(flat[at + step])
+        at, rows, columns, value = at[top], rows[top], columns[top], value[top]
+    if len(at) > cfg.max_peaks:
         best = np.argpartition(-value, cfg.max_peaks)[: cfg.max_peaks]
-        rows, columns, value = rows[best], columns[best], value[best]
+        at, rows, columns, value = at[best], rows[best], columns[best], value[best]
 
-    def offset(before: NDArray[np.float32], after: NDArray[np.float32]) -> NDArray[np.float64]:
-        bend = np.maximum(2.0 * value - before - after, 1e-9)
-        return np.clip(0.5 * (after - before) / bend, -0.5, 0.5)
+    def offset(step: int) -> NDArray[np.float64]:
+        before, after = np.abs(flat[at - step]), np.abs(flat[at + step])
+        return np.clip(0.5 * (after - before) / np.maximum(2.0 * value - before - after, 1e-9), -0.5, 0.5)
 
-    x = columns + offset(strength[rows, columns - 1], strength[rows, columns + 1])
-    y = rows + offset(strength[rows - 1, columns], strength[rows + 1, columns])
+    x, y = columns + offset(1), rows + offset(width)
     return np.stack(
         [
-            response[rows, columns].astype(np.float64),
+            flat[at].astype(np.float64),
             (x + 0.5) * cell - 0.5,
             (y + 0.5) * cell - 0.5,
-            np.full(len(rows), module_px),
-            angle[rows, columns] * (math.pi / 2 / ANGLES),
+            np.full(len(at), module_px),
+            angle.ravel()[at] * (math.pi / 2 / ANGLES),
         ],
         axis=1,
     )
@@ -229,7 +248,7 @@ def _local_peaks(
 
 def _merge(found: NDArray[np.float64], cfg: FinderConfig) -> Peaks:
     """The best peaks; a place seen again on a neighbouring level is the same peak."""
-    found = found[np.argsort(-np.abs(found[:, 0]), kind="stable")][: 4 * cfg.max_peaks]
+    found = found[np.argsort(-np.abs(found[:, 0]), kind="stable")][: 2 * cfg.max_peaks]
     x, y, size = found[:, 1], found[:, 2], np.log(np.maximum(found[:, 3], 1e-9))
     same = np.hypot(x[:, None] - x, y[:, None] - y) < 2.0 * found[:, 3][:, None]
     same &= np.abs(size[:, None] - size) < 1.5 * math.log(cfg.scale_ratio)
