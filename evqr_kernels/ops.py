@@ -230,7 +230,7 @@ def correlate_templates(
     ----------
     image : (B, Y, X)
     bank : (N, N, 8)
-    disc : (N, N)       weight of each place in the energy
+    disc : (N, N)       weight of each place in the energy, 0 to 1
     floor : (B,)        energy below which a place is quiet; positive
 
     Returns
@@ -242,6 +242,8 @@ def correlate_templates(
     checks.floats("bank", bank, "N", "N", 8)
     checks.floats("disc", disc, "N", "N")
     checks.floats("floor", floor, "B")
+    if disc.size and not (disc.min() >= 0 and disc.max() <= 1):
+        raise ValueError(f"disc must be 0 to 1, got {disc.min()} to {disc.max()}")
     n, (batch, height, width) = len(disc), image.shape
     # the last columns may be computed for nothing: kernels work on at least four neighbours
     wide = max(4, width - n + 1)

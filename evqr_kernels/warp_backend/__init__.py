@@ -125,7 +125,7 @@ def _modules(kernels: KernelSet, device: str) -> list[wp.Module]:
         motion.make_correlate_rows(f32),
         motion.make_add_rows(f32),
         templates.make_reduce_image(f32),
-        templates.make_correlate_templates(f32, templates.BLOCKS[0]),
+        templates.make_correlate_templates(f32, templates.block_of(wp.get_device(device), width=640)),
         align.make_align_poses(f32, kernels.table_columns),
         code.make_sample_rows(f32),
         code.make_fold_columns(f32, code.BLOCK),

@@ -17,13 +17,20 @@ import warp as wp
 from evqr_kernels.warp_backend.language import module_of, neighbours, vector
 from evqr_kernels.warp_backend.pose import make_bilinear, make_project
 
+TAPS = 4
+"""Neighbouring samples that the first pass multiplies with the profiles at once."""
+
 BLOCK = 8
 """Neighbouring modules that one thread of the second pass does together, where there are as many."""
 
 
 @cache
 def make_sample_rows(dtype: type) -> wp.Kernel:
-    """Build the first pass; launch: one thread per (window, lattice row).  ``pairs``: see `make_bilinear`."""
+    """Build the first pass; launch: one thread per (window, lattice row).
+
+    ``pairs``: see `make_bilinear`; ``.._taps``: `neighbours` of the array before.
+    """
+    vec_taps = vector(TAPS, dtype)
     bilinear = make_bilinear(dtype)
     project = make_project(dtype)
 
@@ -34,8 +41,11 @@ def make_sample_rows(dtype: type) -> wp.Kernel:
         lattice: wp.array(dtype=dtype),
         profile: wp.array(dtype=dtype),
         slope: wp.array(dtype=dtype),
+        profile_taps: wp.array(dtype=vec_taps),
+        slope_taps: wp.array(dtype=vec_taps),
         samples_a_module: int,
         samples_out: wp.array3d(dtype=dtype),
+        sample_taps_out: wp.array3d(dtype=vec_taps),
         rows_out: wp.array4d(dtype=dtype),
     ):
         b, row = wp.tid()
@@ -47,9 +57,21 @@ def make_sample_rows(dtype: type) -> wp.Kernel:
         before = (support - samples_a_module) // 2
         for j in range(rows_out.shape[3]):
             first = j * samples_a_module - before
+            begin = wp.max(0, -first)
+            end = wp.min(support, count - first)
+            rest = end - (end - begin) % TAPS
+            by_profile = vec_taps()
+            by_slope = vec_taps()
+            for k in range(begin, rest, TAPS):
+                taps = sample_taps_out[b, row, first + k]
+                by_profile += wp.cw_mul(taps, profile_taps[k])
+                by_slope += wp.cw_mul(taps, slope_taps[k])
             total = dtype(0.0)
             total_slope = dtype(0.0)
-            for k in range(wp.max(0, -first), wp.min(support, count - first)):
+            for c in range(TAPS):
+                total += by_profile[c]
+                total_slope += by_slope[c]
+            for k in range(rest, end):
                 e = samples_out[b, row, first + k]
                 total += e * profile[k]
                 total_slope += e * slope[k]
@@ -100,8 +122,17 @@ def code_rhs(
     wp.launch(
         make_sample_rows(dtype),
         (batch, lattice.shape[0]),
-        inputs=[neighbours(image, 2), pose, lattice, profile, slope, samples_a_module],
-        outputs=[samples_out, rows_out],
+        inputs=[
+            neighbours(image, 2),
+            pose,
+            lattice,
+            profile,
+            slope,
+            neighbours(profile, TAPS),
+            neighbours(slope, TAPS),
+            samples_a_module,
+        ],
+        outputs=[samples_out, neighbours(samples_out, TAPS), rows_out],
         device=device,
     )
     wp.launch(

@@ -9,9 +9,9 @@ pattern, say), of which only the best one is kept:
     response(y, x) = sum_{j, i} T_a(j, i) image(y + j, x + i) / sqrt(energy(y, x) + floor)
     energy(y, x)   = sum_{j, i} D(j, i) image(y + j, x + i)^2
 
-with a = angle(y, x) the one of largest magnitude.  D is the disc that the templates fill, and the floor keeps
-quiet places quiet: where the energy under the disc is less than the floor the response is 0.  The sign of the
-best response is kept: an inverted code answers with the opposite one.
+with a = angle(y, x) the one of largest magnitude.  D, 0 to 1, is the disc that the templates fill, and the
+floor keeps quiet places quiet: where the energy under the disc is less than the floor the response is 0.  The
+sign of the best response is kept: an inverted code answers with the opposite one.
 """
 
 from functools import cache
@@ -23,15 +23,20 @@ from evqr_kernels.warp_backend.language import last_axis_as_vector, module_of, n
 ANGLES = 8
 """Templates in a bank."""
 
-BLOCKS = (16, 4)
-"""Neighbouring pixels that one thread does together, widest first: they share each template load."""
+CPU_BLOCK, GPU_BLOCK = 16, 4
+"""Neighbouring pixels of which one thread makes the responses, sharing each template load."""
+
+
+def block_of(device: wp.Device, width: int) -> int:
+    """Choose the block for a device and a width of the response, which is at least `GPU_BLOCK`."""
+    return CPU_BLOCK if device.is_cpu and width >= CPU_BLOCK else GPU_BLOCK
 
 
 @cache
 def make_reduce_image(dtype: type) -> wp.Kernel:
     """Build the reduction; launch: one thread per coarse pixel."""
 
-    @wp.kernel(module=module_of("templates", dtype))
+    @wp.kernel(module=module_of("reduce", dtype))
     def reduce_image(
         image: wp.array3d(dtype=dtype),
         ratio: dtype,
@@ -77,7 +82,7 @@ def make_correlate_templates(dtype: type, block: int) -> wp.Kernel:
     vec_pixels = vector(block, dtype)
     vec_angles = vector(ANGLES, dtype)
 
-    @wp.kernel(module=module_of("templates" if block == BLOCKS[0] else f"templates_{block}", dtype))
+    @wp.kernel(module=module_of(f"templates_{block}", dtype))
     def correlate_templates(
         pixels: wp.array3d(dtype=vec_pixels),
         bank: wp.array2d(dtype=vec_angles),
@@ -153,7 +158,7 @@ def make_correlate_templates(dtype: type, block: int) -> wp.Kernel:
 def correlate_templates(image, bank, disc, floor, response_out, angle_out) -> None:
     """Launch; overwrites."""
     batch, height, width = response_out.shape
-    block = next(block for block in BLOCKS if block <= width)
+    block = block_of(image.device, width)
     wp.launch(
         make_correlate_templates(image.dtype, block),
         (batch, height, -(-width // block)),

@@ -6,7 +6,7 @@ import pytest
 from evqr_kernels.backend import OPS
 
 from . import cases
-from .helpers import assert_close
+from .helpers import assert_close, filled
 
 
 def test_every_operation_has_a_case(rng):
@@ -60,3 +60,11 @@ def test_correlation_at_any_radius(radius, placed, spec, dtype, rng):
 def test_right_hand_side_at_any_size(modules, placed, spec, dtype, rng):
     call = cases.code_rhs(rng, dtype, modules=modules)
     assert_close(*call.run(placed), *call.run(spec))
+
+
+@pytest.mark.parametrize("width", [1, 3, 4, 5, 9])
+@pytest.mark.parametrize("ratio", [1.0, 1.25, 2.6, 9.5])
+def test_reduction_at_any_width(width, ratio, placed, spec, dtype, rng):
+    image = rng.normal(size=(2, 7, width)).astype(dtype)
+    out = filled((2, int(np.ceil(7 / ratio)), int(np.ceil(width / ratio))), dtype)
+    assert_close(*placed("reduce_image", [image, ratio], [out]), *spec("reduce_image", [image, ratio], [out]))

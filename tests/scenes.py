@@ -1,0 +1,74 @@
+"""Simulated scenes for the tests of solver and reader, each made once a session, and what is true of them."""
+
+import functools
+
+import numpy as np
+
+from evqr.simulate import CodePlacement, Simulation, simulate
+from evqr.simulate.geometry import transform
+from evqr.windows import Window, make_window
+
+SMALL = {"width": 320, "height": 240, "threads": 1}
+
+SPEED_PX_MS = 4.0
+
+
+@functools.cache
+def scene(
+    text: str = "EVQR-07",
+    *,
+    travel_px: float = 12.0,
+    speed_px_ms: float = SPEED_PX_MS,
+    codes: tuple[CodePlacement, ...] | None = None,
+    **options,
+) -> Simulation:
+    """A code (or none: ``code=False``) that crosses the middle of a small view."""
+    duration_us = round(1000.0 * travel_px / speed_px_ms)
+    given = {"version": 2, "module_px": 5.0, "angle": 20.0, "direction": 35.0, **SMALL, **options}
+    return simulate(text, speed_px_ms=speed_px_ms, duration_us=duration_us, codes=codes, **given)
+
+
+def at(truth, field: str, time_us: float) -> np.ndarray:
+    """Pose "H" (3, 3) or "velocity" (2,) at a time: nearly linear between the times that truth is given at."""
+    t, values = truth["t_us"], truth[field]
+    k = int(np.clip(np.searchsorted(t, time_us) - 1, 0, len(t) - 2))
+    share = (time_us - t[k]) / (t[k + 1] - t[k])
+    return (1.0 - share) * values[k] + share * values[k + 1]
+
+
+def corners(pose: np.ndarray, size: int) -> np.ndarray:
+    """Corners (4, 2) of a code of ``size`` modules [px]."""
+    return transform(pose, np.array([[0.0, 0.0], [size, 0.0], [size, size], [0.0, size]]))
+
+
+def true_corners(truth, time_us: float) -> np.ndarray:
+    """Corners (4, 2) of a truth's code at a time [px]."""
+    return corners(at(truth, "H", time_us), len(truth["modules"]))
+
+
+def middle_us(simulation: Simulation) -> int:
+    """The middle of a recording [us]."""
+    return int(simulation.truth["truth"]["t_us"][-1]) // 2
+
+
+def window_of(simulation: Simulation, travel_px: float = 2.0, *, middle: int | None = None) -> Window:
+    """A window as long as so much travel takes, around a time [us]; default the middle of the recording."""
+    middle = middle_us(simulation) if middle is None else middle
+    half = round(500.0 * travel_px / simulation.scene.speed_px_ms)
+    return make_window(simulation.events, middle - half, middle + half)
+
+
+def moved(
+    pose: np.ndarray, size: int, *, shift=(0.0, 0.0), turn_deg: float = 0.0, scale: float = 1.0
+) -> np.ndarray:
+    """A pose, wrong by a shift [modules], a turn and a scale about the code's centre."""
+    c, s = scale * np.cos(np.deg2rad(turn_deg)), scale * np.sin(np.deg2rad(turn_deg))
+    half = size / 2.0
+    about = np.array(
+        [
+            [c, -s, half - c * half + s * half + shift[0]],
+            [s, c, half - s * half - c * half + shift[1]],
+            [0.0, 0.0, 1.0],
+        ]
+    )
+    return pose @ about

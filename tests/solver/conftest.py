@@ -1,0 +1,87 @@
+"""What tests of the later stages start from: the image around a code, at its true pose and motion."""
+
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+import pytest
+from scenes import at, corners, middle_us, window_of
+
+from evqr.config import StageOneConfig
+from evqr.region import Region, events_near, region_around, splat_region
+from evqr.windows import Window
+from evqr.workspace import Workspace
+from evqr_kernels.backend import get_backend
+
+
+@dataclass(frozen=True, eq=False, kw_only=True)
+class Seen:
+    """A code in the middle of a simulated recording.
+
+    Attributes
+    ----------
+    version, size             of the code
+    modules : (r, r)          truth, -1 dark, +1 light
+    pose : (3, 3)             truth, code coordinates to px
+    velocity : (2,)           truth [px/s]
+    region, events, image     around the code; the image is on the device
+    """
+
+    version: int
+    modules: np.ndarray
+    pose: np.ndarray
+    velocity: np.ndarray
+    module_px: float
+    region: Region
+    events: Window
+    image: Any
+
+    @property
+    def size(self) -> int:
+        return len(self.modules)
+
+    @property
+    def in_cells(self) -> np.ndarray:
+        """The true pose in cells of the image, as the stages take it."""
+        return self.region.from_px @ self.pose
+
+    def modules_off(self, in_cells: np.ndarray) -> float:
+        """How far the worst corner of a pose in cells is from the truth [modules]."""
+        pose = np.linalg.inv(self.region.from_px) @ in_cells
+        return float(np.abs(corners(pose, self.size) - corners(self.pose, self.size)).max()) / self.module_px
+
+
+@pytest.fixture(scope="session")
+def workspace():
+    """One for all tests: its buffers are made once."""
+    backend = get_backend("warp")
+    backend.load("cpu")
+    return Workspace(backend, "cpu")
+
+
+@pytest.fixture(scope="session")
+def see(workspace):
+    """Make what there is to see of a simulation, optionally at another time than its middle."""
+
+    def look(made, *, middle=None, travel_px=2.0, cfg=StageOneConfig(), name="truth"):
+        truth = made.truth[name]
+        time = middle_us(made) if middle is None else middle
+        pose, velocity = at(truth, "H", time), at(truth, "velocity", time)
+        window = window_of(made, travel_px, middle=time)
+        region = region_around(pose, len(truth["modules"]), cfg, margin_px=4.0)
+        events = events_near(window, velocity, region)
+        # an image of its own: two that are seen may be used side by side
+        image = workspace.backend.empty((1, region.height, region.width), np.float32, "cpu")
+        splat_region(events, velocity, region, cfg, workspace=workspace, image=image)
+        return Seen(
+            version=truth["version"],
+            modules=1.0 - 2.0 * truth["modules"],
+            pose=pose,
+            velocity=velocity,
+            module_px=made.scene.codes[0].module_px,
+            region=region,
+            events=events,
+            image=image,
+        )
+
+    return look

@@ -1,0 +1,170 @@
+"""Finder patterns and the codes they could belong to, in windows whose motion is known."""
+
+import functools
+
+import numpy as np
+import pytest
+from scenes import at, corners, middle_us, scene, transform, window_of
+
+from evqr.config import FinderConfig
+from evqr.initial.finder import Peaks, find_hypotheses, find_peaks
+
+CONFIG = FinderConfig()
+
+
+def look(made, workspace):
+    """Peaks and hypotheses along the true motion, and the true pose."""
+    truth = made.truth["truth"]
+    velocity = at(truth, "velocity", middle_us(made))
+    peaks, pyramid = find_peaks(window_of(made), velocity, CONFIG, workspace=workspace)
+    return peaks, find_hypotheses(peaks, CONFIG), at(truth, "H", middle_us(made)), pyramid
+
+
+def of_finders(peaks, pose, size, module_px):
+    """Index of the strongest peak within a module of each of the three finder patterns."""
+    centres = transform(pose, np.array([[3.5, 3.5], [size - 3.5, 3.5], [3.5, size - 3.5]]))
+    found = []
+    for centre in centres:
+        near = np.flatnonzero(np.hypot(*(peaks.position - centre).T) < module_px)
+        assert len(near), f"no peak near {centre}"
+        found.append(near[np.abs(peaks.response[near]).argmax()])
+    return np.array(found)
+
+
+def fits(hypothesis, truth, pose, module_px):
+    """Whether a hypothesis is the true code: stage one's coarse look is good for 1.5 modules at the corners."""
+    size = len(truth["modules"])
+    if hypothesis.version != truth["version"]:
+        return False
+    return np.abs(corners(hypothesis.pose, size) - corners(pose, size)).max() < 1.5 * module_px
+
+
+@pytest.mark.parametrize("angle", [0.0, 17.0, 45.0, 80.0])
+@pytest.mark.parametrize("preset", ["clean", "fast"])
+def test_three_finder_patterns_are_among_the_best_peaks(angle, preset, workspace):
+    made = scene(angle=angle, preset=preset)
+    peaks, hypotheses, pose, _ = look(made, workspace)
+    best = of_finders(peaks, pose, 25, 5.0)
+    assert (best < 8).all()
+    assert (peaks.response[best] > 0.5).all()
+    # The bank has a filter every 11 degrees, and neighbouring ones respond nearly alike.
+    off = (np.rad2deg(peaks.angle[best]) - angle + 45.0) % 90.0 - 45.0
+    assert np.abs(off).max() < 12.0
+    assert np.abs(np.log(peaks.module_px[best] / 5.0)).max() < 0.25
+    assert any(fits(h, made.truth["truth"], pose, 5.0) and not h.inverted for h in hypotheses[:6])
+
+
+def test_an_inverted_code_answers_with_the_other_sign(workspace):
+    made = scene(invert=True)
+    peaks, hypotheses, pose, _ = look(made, workspace)
+    best = of_finders(peaks, pose, 25, 5.0)
+    assert (peaks.response[best] < -0.5).all()
+    assert any(fits(h, made.truth["truth"], pose, 5.0) and h.inverted for h in hypotheses[:6])
+
+
+@pytest.mark.parametrize(("version", "module_px"), [(1, 6.0), (2, 5.0), (4, 4.0), (7, 4.0), (10, 3.5)])
+def test_the_true_version_and_pose_are_among_the_hypotheses(version, module_px, workspace):
+    made = scene(version=version, module_px=module_px, angle=30.0, width=320, height=320)
+    _, hypotheses, pose, _ = look(made, workspace)
+    assert any(fits(h, made.truth["truth"], pose, module_px) for h in hypotheses)
+
+
+@pytest.mark.parametrize("module_px", [3.5, 8.0])
+def test_small_and_large_modules(module_px, workspace):
+    made = scene(version=1, module_px=module_px)
+    _, hypotheses, pose, _ = look(made, workspace)
+    assert any(fits(h, made.truth["truth"], pose, module_px) for h in hypotheses)
+
+
+def test_results_are_in_order_and_within_their_limits(workspace):
+    peaks, hypotheses, _, pyramid = look(scene(), workspace)
+    strength = np.abs(peaks.response)
+    assert (np.diff(strength) <= 0).all()
+    assert len(strength) <= CONFIG.max_peaks
+    assert (strength >= CONFIG.min_response).all()
+    assert strength.max() <= 1.0 + 1e-3
+    assert ((peaks.angle >= 0.0) & (peaks.angle < np.pi / 2)).all()
+    assert (np.diff([h.response for h in hypotheses]) <= 1e-9).all()
+    assert (np.diff([level.cell for level in pyramid]) > 0).all()
+
+
+def test_pyramid_levels_show_the_same_place(workspace):
+    """Centre of mass in px, through each level's own map; of ON events only, so that nothing cancels."""
+    made = scene()
+    window = window_of(made)
+    inside = (np.abs(window.x - 160) < 60) & (np.abs(window.y - 120) < 60)
+    velocity = at(made.truth["truth"], "velocity", middle_us(made))
+    _, pyramid = find_peaks(window.keep((window.p > 0) & inside), velocity, CONFIG, workspace=workspace)
+    centres = []
+    for level in pyramid:
+        image = workspace.get(level.image)[0].astype(np.float64)
+        rows, columns = np.mgrid[: image.shape[0], : image.shape[1]]
+        mean = np.array([(columns * image).sum(), (rows * image).sum(), image.sum()]) / image.sum()
+        centres.append((np.linalg.inv(level.from_px) @ mean)[:2])
+    # The finest level has its strongest cells clipped; half a cell of the coarsest would be 9 px.
+    np.testing.assert_allclose(centres, np.broadcast_to(centres[-1], (len(centres), 2)), atol=0.3)
+
+
+# ---- triples, without an image
+
+
+@functools.cache
+def _ideal(version, angle_deg, module_px):
+    turn = np.deg2rad(angle_deg)
+    u = module_px * np.array([np.cos(turn), np.sin(turn)])
+    v = module_px * np.array([-np.sin(turn), np.cos(turn)])
+    legs = 10 + 4 * version
+    corner = np.array([100.0, 80.0])
+    return np.array([corner, corner + legs * u, corner + legs * v]), np.column_stack([u, v])
+
+
+@pytest.mark.parametrize("version", [1, 2, 6, 13, 25, 40])
+@pytest.mark.parametrize("angle", [0.0, 33.0, 90.0, -140.0])
+def test_three_ideal_peaks_make_the_code(version, angle):
+    position, axes = _ideal(version, angle, 4.0)
+    peaks = Peaks(np.array([0.9, 0.8, 0.7]), position, np.full(3, 4.0), np.full(3, np.deg2rad(angle % 90)))
+    hypotheses = find_hypotheses(peaks, CONFIG)
+    # large versions differ by less than the tolerance of a pattern's size
+    (right,) = [h for h in hypotheses if h.version == version]
+    np.testing.assert_allclose(right.pose[:2, :2], axes, atol=1e-9)
+    np.testing.assert_allclose(right.pose @ (3.5, 3.5, 1.0), [*position[0], 1.0], atol=1e-9)
+    assert right.response == pytest.approx(2.4)
+    assert np.linalg.det(right.pose[:2, :2]) > 0
+    assert hypotheses[0].version == version
+
+
+@pytest.mark.parametrize(
+    "wrong",
+    [
+        {"response": np.array([0.9, -0.8, 0.7])},
+        {"module_px": np.array([4.0, 9.0, 4.0])},
+        {"angle": np.array([0.0, 0.0, np.pi / 4])},
+        {"position": np.array([[100.0, 80.0], [172.0, 80.0], [100.0, 200.0]])},
+        {"position": np.array([[100.0, 80.0], [172.0, 80.0], [150.0, 130.0]])},
+    ],
+    ids=["signs", "sizes", "angles", "legs", "corner"],
+)
+def test_three_peaks_that_do_not_fit_make_none(wrong):
+    ideal = {
+        "response": np.array([0.9, 0.8, 0.7]),
+        "position": _ideal(2, 0.0, 4.0)[0],
+        "module_px": np.full(3, 4.0),
+        "angle": np.zeros(3),
+    }
+    assert find_hypotheses(Peaks(**ideal), CONFIG)
+    assert not find_hypotheses(Peaks(**(ideal | wrong)), CONFIG)
+
+
+@pytest.mark.parametrize("count", [0, 1, 2])
+def test_fewer_than_three_peaks_make_none(count):
+    position = _ideal(2, 0.0, 4.0)[0][:count]
+    peaks = Peaks(np.full(count, 0.9), position, np.full(count, 4.0), np.zeros(count))
+    assert find_hypotheses(peaks, CONFIG) == []
+
+
+def test_an_empty_window_has_no_peaks(workspace):
+    made = scene()
+    window = window_of(made)
+    empty = window.keep(np.zeros(len(window), bool))
+    peaks, _ = find_peaks(empty, np.array([1000.0, 500.0]), CONFIG, workspace=workspace)
+    assert len(peaks.response) == 0

@@ -1,0 +1,171 @@
+"""Motion from cold: speed, direction and sign on simulated scenes, and nothing where nothing moves."""
+
+import numpy as np
+import pytest
+from scenes import scene, window_of
+
+from evqr.config import MotionConfig
+from evqr.initial.motion import estimate_motion, find_motion, window_length_us
+from evqr.types import EventArray
+from evqr.windows import EventBuffer, Window, make_window
+
+CONFIG = MotionConfig()
+
+SPEED_TOLERANCE = 0.12
+"""Relative.  Over the 3 px of a window, 12 % are 0.2 px on either side of the middle: a small part of a module."""
+
+DIRECTION_TOLERANCE_DEG = 10.0
+"""Over 2 px of travel, 10 degrees blur by 0.35 px; most of it is seen where code and motion have one axis."""
+
+
+def find(events, start_us=0, **options):
+    return find_motion(EventBuffer(iter([events])), start_us, CONFIG, **options)
+
+
+def between_deg(a, b):
+    """Angle from one vector to another [deg]."""
+    return np.rad2deg(np.arctan2(b[0] * a[1] - b[1] * a[0], a @ b))
+
+
+def assert_close(motion, velocity):
+    assert motion is not None
+    assert motion.speed == pytest.approx(np.hypot(*velocity), rel=SPEED_TOLERANCE)
+    assert abs(between_deg(motion.velocity, velocity)) < DIRECTION_TOLERANCE_DEG
+
+
+def small(**options):
+    """A small scene and its velocity [px/s]."""
+    made = scene(**{"version": 1, "module_px": 4.0, "width": 200, "height": 160, "travel_px": 6.0, **options})
+    return made, made.truth["truth"]["velocity"][0]
+
+
+def noise(count, duration_us, seed=0, width=320, height=240):
+    rng = np.random.default_rng(seed)
+    return EventArray(
+        np.sort(rng.integers(0, duration_us, count)),
+        rng.integers(0, width, count).astype(np.uint16),
+        rng.integers(0, height, count).astype(np.uint16),
+        rng.choice(np.array([-1, 1], np.int8), count),
+        width,
+        height,
+    )
+
+
+# ---- what is found
+
+
+@pytest.mark.parametrize("direction", [0.0, 50.0, 135.0, -70.0])
+@pytest.mark.parametrize("speed", [0.5, 10.0])
+@pytest.mark.parametrize("preset", ["clean", "fast"])
+def test_finds_any_direction_and_speed_from_cold(direction, speed, preset, workspace):
+    made, velocity = small(direction=direction, speed_px_ms=speed, preset=preset)
+    assert_close(find(made.events, workspace=workspace), velocity)
+
+
+def test_motion_along_the_axis_of_the_code(workspace):
+    """Half of the edges lie along the motion and say nothing: only their ends do."""
+    made, velocity = small(direction=200.0, angle=20.0)
+    assert_close(find(made.events, workspace=workspace), velocity)
+
+
+def test_a_guess_of_the_speed_leads_to_the_same_motion(workspace):
+    made, velocity = small(direction=50.0)
+    for guess in (0.7, 1.0, 1.4):
+        assert_close(find(made.events, workspace=workspace, speed=guess * np.hypot(*velocity)), velocity)
+
+
+def test_one_window_of_fixed_length_is_enough(workspace):
+    made, velocity = small(direction=50.0)
+    for travel in (1.5, 2.0, 4.0):
+        assert_close(estimate_motion(window_of(made, travel), CONFIG, workspace=workspace), velocity)
+
+
+def test_more_travel_than_the_fine_look_reaches(workspace):
+    """Halves 5 px apart: ``reach_px`` is 3, and is raised."""
+    made, velocity = small(direction=50.0, travel_px=12.0)
+    assert_close(estimate_motion(window_of(made, 10.0), CONFIG, workspace=workspace), velocity)
+
+
+def test_the_sign_comes_from_the_order_of_time(workspace):
+    made, velocity = small(direction=50.0)
+    window = window_of(made)
+    backwards = Window(
+        window.x[::-1], window.y[::-1], -window.t[::-1], -window.p[::-1],
+        window.start_us, window.end_us, window.width, window.height,
+    )  # fmt: skip
+    assert_close(estimate_motion(window, CONFIG, workspace=workspace), velocity)
+    assert_close(estimate_motion(backwards, CONFIG, workspace=workspace), -velocity)
+
+
+def test_contrast_of_the_other_sign_changes_nothing(workspace):
+    made, _ = small(direction=50.0)
+    window = window_of(made)
+    other = Window(
+        window.x, window.y, window.t, -window.p, window.start_us, window.end_us, window.width, window.height
+    )
+    ours, theirs = (estimate_motion(w, CONFIG, workspace=workspace) for w in (window, other))
+    np.testing.assert_allclose(ours.velocity, theirs.velocity, rtol=1e-6)
+    assert ours.peak == pytest.approx(theirs.peak)
+
+
+def test_hot_pixels_do_not_fool_it(workspace):
+    """40 pixels that fire every 7 us: they outnumber an edge's pixels by far, and stand still."""
+    made, velocity = small(direction=50.0)
+    rng, events = np.random.default_rng(3), made.events
+    count, duration = 40, int(events.t[-1]) + 1
+    each = duration // 7
+    t = np.concatenate([events.t, rng.integers(0, duration, count * each)])
+    x = np.concatenate([events.x, np.repeat(rng.integers(0, events.width, count), each).astype(np.uint16)])
+    y = np.concatenate([events.y, np.repeat(rng.integers(0, events.height, count), each).astype(np.uint16)])
+    p = np.concatenate([events.p, np.ones(count * each, np.int8)])
+    order = np.argsort(t, kind="stable")
+    hot = EventArray(t[order], x[order], y[order], p[order], events.width, events.height)
+    assert_close(find(hot, workspace=workspace), velocity)
+
+
+def test_motion_at_a_later_time_of_a_stream_in_chunks(workspace):
+    made, velocity = small(direction=135.0)
+    events, start = made.events, 700
+    pieces = iter([events.cut(k, k + 5000) for k in range(0, len(events), 5000)])
+    found = find_motion(EventBuffer(pieces), start, CONFIG, workspace=workspace)
+    assert_close(found, velocity)
+    np.testing.assert_array_equal(found.velocity, find(events, start, workspace=workspace).velocity)
+
+
+def test_an_answer_is_the_same_every_time(workspace):
+    made, _ = small(direction=50.0)
+    first, second = (find(made.events, workspace=workspace) for _ in range(2))
+    np.testing.assert_array_equal(first.velocity, second.velocity)
+    assert first.peak == second.peak
+
+
+# ---- what is not
+
+
+@pytest.mark.parametrize("count", [5_000, 50_000, 400_000])
+def test_noise_does_not_move(count, workspace):
+    assert find(noise(count, 60_000), workspace=workspace) is None
+
+
+@pytest.mark.parametrize("count", [0, 1, 150])
+def test_too_few_events_say_nothing(count, workspace):
+    assert estimate_motion(make_window(noise(count, 1000), 0, 1000), CONFIG, workspace=workspace) is None
+    if count:
+        assert find(noise(count, 1000), workspace=workspace) is None
+
+
+def test_events_in_one_half_only_say_nothing(workspace):
+    made, _ = small(direction=50.0)
+    window = window_of(made)
+    assert estimate_motion(window.keep(window.t < 0.0), CONFIG, workspace=workspace) is None
+
+
+# ---- length of windows
+
+
+def test_windows_are_as_long_as_the_travel_takes():
+    assert window_length_us(4000.0, 2.0, CONFIG) == 500
+    assert window_length_us(1000.0, 3.0, CONFIG) == 3000
+    assert window_length_us(0.0, 2.0, CONFIG) == CONFIG.longest_us
+    assert window_length_us(1.0, 2.0, CONFIG) == CONFIG.longest_us
+    assert 1 <= window_length_us(1e12, 2.0, CONFIG) <= 100

@@ -1,0 +1,75 @@
+"""Screening of hypotheses: the right one comes first."""
+
+import numpy as np
+import pytest
+from scenes import at, corners, middle_us, moved, scene, window_of
+
+from evqr.config import FinderConfig, StageOneConfig
+from evqr.initial.finder import Hypothesis, find_hypotheses, find_peaks
+from evqr.initial.pose import screen
+
+CONFIG = StageOneConfig()
+
+
+def searched(made, workspace):
+    """The pyramid of a search along the true motion, what it found, and the true pose."""
+    truth = made.truth["truth"]
+    velocity = at(truth, "velocity", middle_us(made))
+    peaks, pyramid = find_peaks(window_of(made), velocity, FinderConfig(), workspace=workspace)
+    return pyramid, find_hypotheses(peaks, FinderConfig()), at(truth, "H", middle_us(made))
+
+
+def modules_off(candidate, pose, size, module_px):
+    return np.abs(corners(candidate.pose, size) - corners(pose, size)).max() / module_px
+
+
+@pytest.mark.parametrize(
+    ("version", "module_px", "preset"),
+    [(1, 6.0, "clean"), (2, 5.0, "clean"), (2, 5.0, "fast"), (4, 4.0, "clean"), (7, 4.0, "clean")],
+)
+def test_the_right_hypothesis_of_a_search_comes_first(version, module_px, preset, workspace):
+    made = scene(version=version, module_px=module_px, angle=30.0, width=320, height=320, preset=preset)
+    pyramid, hypotheses, pose = searched(made, workspace)
+    candidates, iterations = screen(hypotheses, pyramid, CONFIG, workspace=workspace)
+    size = 17 + 4 * version
+    assert candidates[0].version == version
+    assert modules_off(candidates[0], pose, size, module_px) < 0.5
+    assert candidates[0].score > 0.8
+    assert iterations > 0
+    # What is no neighbour of the truth agrees less.
+    others = [
+        c.score for c in candidates if c.version != version or modules_off(c, pose, size, module_px) > 2.0
+    ]
+    assert not others or candidates[0].score > max(others) + 0.1
+
+
+def test_an_inverted_code_is_screened_alike(workspace):
+    made = scene(invert=True)
+    pyramid, hypotheses, pose = searched(made, workspace)
+    candidates, _ = screen(hypotheses, pyramid, CONFIG, workspace=workspace)
+    assert candidates[0].version == 2
+    assert modules_off(candidates[0], pose, 25, 5.0) < 0.5
+
+
+def test_every_hypothesis_is_a_candidate_and_the_best_come_first(workspace):
+    pyramid, hypotheses, _ = searched(scene(), workspace)
+    candidates, _ = screen(hypotheses, pyramid, CONFIG, workspace=workspace)
+    assert len(candidates) == len(hypotheses)
+    assert (np.diff([c.score for c in candidates]) <= 0).all()
+    assert sorted(c.version for c in candidates) == sorted(h.version for h in hypotheses)
+
+
+def test_a_rough_pose_among_wrong_ones_is_refined_and_wins(workspace):
+    pyramid, _, pose = searched(scene(), workspace)
+    rough = moved(pose, 25, shift=(0.3, -0.4), turn_deg=3.0, scale=1.05)
+    wrong = [moved(pose, 25, turn_deg=90.0), moved(pose, 25, shift=(6.0, 0.0)), moved(pose, 25, scale=0.7)]
+    hypotheses = [Hypothesis(2, p, 1.0, False) for p in (*wrong, rough)]
+    hypotheses.append(Hypothesis(3, moved(pose, 25, scale=25 / 29), 1.0, False))
+    candidates, _ = screen(hypotheses, pyramid, CONFIG, workspace=workspace)
+    assert candidates[0].version == 2
+    assert modules_off(candidates[0], pose, 25, 5.0) < 0.3
+
+
+def test_nothing_to_screen(workspace):
+    pyramid, _, _ = searched(scene(), workspace)
+    assert screen([], pyramid, CONFIG, workspace=workspace) == ([], 0)
