@@ -109,11 +109,11 @@ class KernelBackend(Protocol):
     def motion_correlation(
         self, first: Array, second: Array, radius: int, rows_out: Array, correlation_out: Array
     ) -> None:
-        """Correlate two images over a square of shifts; ``rows_out`` is (B, Y, 2 R + 1, 2 R + 1)."""
+        """Correlate two images over a square of shifts; ``rows_out`` is (B, Y, 2 R + 1, W), fastest with W = 16, 32, ..."""
         ...
 
-    def reduce_image(self, image: Array, ratio: float, image_out: Array) -> None:
-        """Sum an image over coarser pixels."""
+    def reduce_image(self, image: Array, ratio: float, rows_out: Array, image_out: Array) -> None:
+        """Sum an image (B, Y, X) over coarser pixels; ``rows_out`` is (B, coarse Y, X)."""
         ...
 
     def correlate_templates(

@@ -188,7 +188,7 @@ def motion_correlation(
     checks.at_least("radius", radius, 0)
     launch = _Launch("motion_correlation", checks, backend, device)
     shifts, (batch, height, _) = 2 * radius + 1, first.shape
-    rows = launch.scratch(batch, height, shifts, shifts)
+    rows = launch.scratch(batch, height, shifts, -(-shifts // 16) * 16)
     launch.run(*launch.put(first, second), radius, rows, launch.result(None, batch, shifts, shifts))
     return launch.results()[0]
 
@@ -210,8 +210,9 @@ def reduce_image(image: Floats, *, ratio: float, backend: str = "auto", device: 
     checks.at_least("ratio", ratio, 1.0)
     launch = _Launch("reduce_image", checks, backend, device)
     batch, height, width = image.shape
-    out = launch.result(None, batch, int(np.ceil(height / ratio)), int(np.ceil(width / ratio)))
-    launch.run(*launch.put(image), ratio, out)
+    coarse_height = int(np.ceil(height / ratio))
+    out = launch.result(None, batch, coarse_height, int(np.ceil(width / ratio)))
+    launch.run(*launch.put(image), ratio, launch.scratch(batch, coarse_height, width), out)
     return launch.results()[0]
 
 

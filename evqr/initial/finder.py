@@ -159,7 +159,9 @@ def find_peaks(
         padded, image = _level_buffers(height, width, cfg.half, workspace)
         cells = workspace.get(image)
         if pyramid:
-            backend.reduce_image(pyramid[-1].image, cfg.scale_ratio, image)
+            fine = pyramid[-1].image
+            rows = workspace.buffer("finder rows", (1, height, fine.shape[2]))
+            backend.reduce_image(fine, cfg.scale_ratio, rows, image)
             backend.synchronize(device)
         else:
             cells[:] = _finest(window, velocity, cell, height, width, lag_px, workspace)

@@ -101,7 +101,7 @@ def estimate_motion(
     )
     np.clip(counts, -cfg.clip, cfg.clip, out=counts)
     shifts = 2 * radius + 1
-    rows = workspace.buffer("motion rows", (1, height, shifts, shifts))
+    rows = workspace.buffer("motion rows", (1, height, shifts, -(-shifts // 16) * 16))
     correlation = workspace.buffer("motion correlation", (1, shifts, shifts))
     backend.motion_correlation(halves[0:1], halves[1:2], radius, rows, correlation)
     backend.synchronize(device)

@@ -12,4 +12,4 @@ def motion_correlation(first, second, radius, rows_out, correlation_out) -> None
     for j in range(2 * radius + 1):
         for i in range(2 * radius + 1):
             rows_out[:, :, j, i] = (first * padded[:, j : j + height, i : i + width]).sum(axis=2)
-    correlation_out[:] = rows_out.sum(axis=1)
+    correlation_out[:] = rows_out[..., : 2 * radius + 1].sum(axis=1)

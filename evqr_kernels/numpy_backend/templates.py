@@ -7,7 +7,7 @@ from numpy.lib.stride_tricks import sliding_window_view
 from numpy.typing import NDArray
 
 
-def reduce_image(image, ratio, image_out) -> None:
+def reduce_image(image, ratio, rows_out, image_out) -> None:
     """Sum an image over coarser pixels; overwrites."""
     rows = _coverage(image_out.shape[1], image.shape[1], ratio).astype(image.dtype)
     columns = _coverage(image_out.shape[2], image.shape[2], ratio).astype(image.dtype)

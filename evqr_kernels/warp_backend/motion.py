@@ -12,7 +12,7 @@ import warp as wp
 
 from evqr_kernels.warp_backend.language import module_of, neighbours, vector
 
-BLOCK = 8
+BLOCK = 16
 """Neighbouring shifts done together."""
 
 
@@ -34,9 +34,10 @@ def make_correlate_rows(dtype: type) -> wp.Kernel:
         height = first.shape[1]
         width = first.shape[2]
         shifts = 2 * radius + 1
-        whole = shifts - shifts % BLOCK
+        columns = rows_out.shape[3]
+        whole = columns - columns % BLOCK
         for j in range(shifts):
-            for i in range(shifts):
+            for i in range(columns):
                 rows_out[b, y, j, i] = dtype(0.0)
         for x in range(width):
             value = first[b, y, x]
@@ -44,16 +45,16 @@ def make_correlate_rows(dtype: type) -> wp.Kernel:
                 left = x - radius
                 top = y - radius
                 begin = wp.int32(0)
-                # where the square of shifts lies inside the image: blocks of shifts, and then the few that
-                # are left
-                if left >= 0 and left + shifts <= width:
+                # where all shifts lie inside the image: blocks of them, and then the few that are left
+                if left >= 0 and left + wp.max(columns, shifts) <= width:
                     begin = whole
                     for j in range(wp.max(0, -top), wp.min(shifts, height - top)):
                         for i in range(0, whole, BLOCK):
                             row_blocks_out[b, y, j, i] += value * second_blocks[b, top + j, left + i]
-                for j in range(wp.max(0, -top), wp.min(shifts, height - top)):
-                    for i in range(wp.max(begin, -left), wp.min(shifts, width - left)):
-                        rows_out[b, y, j, i] += value * second[b, top + j, left + i]
+                if begin < shifts:
+                    for j in range(wp.max(0, -top), wp.min(shifts, height - top)):
+                        for i in range(wp.max(begin, -left), wp.min(shifts, width - left)):
+                            rows_out[b, y, j, i] += value * second[b, top + j, left + i]
 
     return correlate_rows
 

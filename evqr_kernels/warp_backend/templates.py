@@ -20,6 +20,9 @@ import warp as wp
 
 from evqr_kernels.warp_backend.language import last_axis_as_vector, module_of, neighbours, vector
 
+SPAN = 16
+"""Neighbouring fine pixels that a reduction adds up together."""
+
 ANGLES = 8
 """Templates in a bank."""
 
@@ -34,40 +37,54 @@ def block_of(device: wp.Device, width: int) -> int:
 
 @cache
 def make_reduce_image(dtype: type) -> wp.Kernel:
-    """Build the reduction; launch: one thread per coarse pixel."""
+    """Build the reduction; launch: one thread per coarse row, which it first adds up over fine rows."""
+    vec_block = vector(SPAN, dtype)
 
-    @wp.kernel(module=module_of("reduce", dtype))
+    @wp.kernel(module=module_of("templates", dtype))
     def reduce_image(
         image: wp.array3d(dtype=dtype),
+        image_blocks: wp.array3d(dtype=vec_block),
         ratio: dtype,
+        rows_out: wp.array3d(dtype=dtype),
+        row_blocks_out: wp.array3d(dtype=vec_block),
         image_out: wp.array3d(dtype=dtype),
     ):
-        b, y, x = wp.tid()
+        b, y = wp.tid()
         one = dtype(1.0)
+        fine_width = image.shape[2]
         top = dtype(y) * ratio
-        left = dtype(x) * ratio
         bottom = top + ratio
-        right = left + ratio
-        total = dtype(0.0)
-        for j in range(int(top), wp.min(int(wp.ceil(bottom)), image.shape[1])):
-            share_y = wp.min(bottom, dtype(j) + one) - wp.max(top, dtype(j))
-            along = dtype(0.0)
-            for i in range(int(left), wp.min(int(wp.ceil(right)), image.shape[2])):
-                share_x = wp.min(right, dtype(i) + one) - wp.max(left, dtype(i))
-                along += share_x * image[b, j, i]
-            total += share_y * along
-        image_out[b, y, x] = total
+        first = int(top)
+        last = wp.min(int(wp.ceil(bottom)), image.shape[1])
+        whole = fine_width - fine_width % SPAN
+        for x in range(0, whole, SPAN):
+            block = vec_block()
+            for j in range(first, last):
+                block += (wp.min(bottom, dtype(j) + one) - wp.max(top, dtype(j))) * image_blocks[b, j, x]
+            row_blocks_out[b, y, x] = block
+        for x in range(whole, fine_width):
+            total = dtype(0.0)
+            for j in range(first, last):
+                total += (wp.min(bottom, dtype(j) + one) - wp.max(top, dtype(j))) * image[b, j, x]
+            rows_out[b, y, x] = total
+        for x in range(image_out.shape[2]):
+            left = dtype(x) * ratio
+            right = left + ratio
+            total = dtype(0.0)
+            for i in range(int(left), wp.min(int(wp.ceil(right)), fine_width)):
+                total += (wp.min(right, dtype(i) + one) - wp.max(left, dtype(i))) * rows_out[b, y, i]
+            image_out[b, y, x] = total
 
     return reduce_image
 
 
-def reduce_image(image, ratio: float, image_out) -> None:
+def reduce_image(image, ratio: float, rows_out, image_out) -> None:
     """Launch; overwrites."""
     wp.launch(
         make_reduce_image(image.dtype),
-        image_out.shape,
-        inputs=[image, ratio],
-        outputs=[image_out],
+        image_out.shape[:2],
+        inputs=[image, neighbours(image, SPAN), ratio],
+        outputs=[rows_out, neighbours(rows_out, SPAN), image_out],
         device=image.device,
     )
 

@@ -81,7 +81,7 @@ def motion_correlation(rng, dtype, radius=5):
 
 def reduce_image(rng, dtype):
     image = rng.normal(size=(B, Y, X)).astype(dtype)
-    return Call("reduce_image", [image, 1.25], [filled((B, 19, 25), dtype)])
+    return Call("reduce_image", [image, 1.25], [filled((B, 19, X), dtype), filled((B, 19, 25), dtype)], scratch=1)
 
 
 def correlate_templates(rng, dtype, width=24, n=5):
