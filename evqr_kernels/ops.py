@@ -18,53 +18,17 @@ from __future__ import annotations
 from typing import Any
 
 import numpy as np
-from numpy.typing import DTypeLike, NDArray
+from numpy.typing import NDArray
 
-from evqr_kernels.backend import get_backend, require_device
 from evqr_kernels.checks import ArrayChecks
 from evqr_kernels.config import SplatConfig
+from evqr_kernels.launch import Launch
 
 Floats = NDArray[np.floating[Any]]
 Ints = NDArray[np.int32]
 
 CHUNK = 512
 """Events or samples that one thread adds up."""
-
-
-class _Launch:
-    """One call: puts arrays on a device and brings the results back."""
-
-    def __init__(self, op: str, checks: ArrayChecks, backend: str, device: str | None) -> None:
-        self.backend = get_backend(backend)
-        self.device = device or self.backend.devices()[0]
-        self.dtype = checks.dtype or np.dtype(np.float32)
-        require_device(self.backend, self.device)
-        refusal = self.backend.supports(op, self.dtype, self.device)
-        if refusal:
-            raise NotImplementedError(f"{self.backend.name} refuses {op}: {refusal}")
-        self.run = getattr(self.backend, op)
-        self._results: list[tuple[NDArray[Any], Any]] = []
-
-    def put(self, *arrays: NDArray[Any]) -> list[Any]:
-        return [self.backend.from_host(array, self.device) for array in arrays]
-
-    def scratch(self, *shape: int) -> Any:
-        return self.backend.empty(shape, self.dtype, self.device)
-
-    def result(self, out: NDArray[Any] | None, *shape: int, dtype: DTypeLike | None = None) -> Any:
-        """Give the device array of a result: the contents of ``out``, which gets the result, or zeros."""
-        host = np.zeros(shape, dtype or self.dtype) if out is None else out
-        on_device = self.backend.from_host(host, self.device)
-        self._results.append((host, on_device))
-        return on_device
-
-    def results(self) -> list[NDArray[Any]]:
-        self.backend.synchronize(self.device)
-        for host, on_device in self._results:
-            back = self.backend.to_host(on_device)
-            if not np.may_share_memory(host, back):
-                np.copyto(host, back)
-        return [host for host, _ in self._results]
 
 
 def bin_events(
@@ -91,7 +55,7 @@ def bin_events(
     _check_events(checks, x=x, y=y, weight=weight, window_ptr=window_ptr)
     checks.at_least("reduction", reduction, 1e-6)
     size = _image_shape(checks, "out", out, shape)
-    launch = _Launch("bin_events", checks, backend, device)
+    launch = Launch("bin_events", checks, backend, device)
     launch.run(*launch.put(x, y, weight, window_ptr), reduction, launch.result(out, *size))
     return launch.results()[0]
 
@@ -132,7 +96,7 @@ def splat_events(
     checks = ArrayChecks()
     lag, frame = _check_splat(checks, x, y, t, weight, window_ptr, motion, lag, frame)
     size = _image_shape(checks, "out", out, shape)
-    launch = _Launch("splat_events", checks, backend, device)
+    launch = Launch("splat_events", checks, backend, device)
     inputs = launch.put(x, y, t, weight, window_ptr, motion, lag, frame)
     launch.run(*inputs, launch.result(out, *size), cfg or SplatConfig())
     return launch.results()[0]
@@ -157,7 +121,7 @@ def splat_events_adjoint(
     checks = ArrayChecks()
     lag, frame = _check_splat(checks, x, y, t, weight, window_ptr, motion, lag, frame)
     checks.floats("adj_image", adj_image, "B", "Y", "X")
-    launch = _Launch("splat_events_adjoint", checks, backend, device)
+    launch = Launch("splat_events_adjoint", checks, backend, device)
     inputs = launch.put(x, y, t, weight, window_ptr, motion, lag, frame, adj_image)
     events, windows = len(x), len(motion)
     chunks = launch.scratch(windows, max(1, -(-events // CHUNK)), 2)
@@ -186,7 +150,7 @@ def motion_correlation(
     checks.floats("first", first, "B", "Y", "X")
     checks.floats("second", second, "B", "Y", "X")
     checks.at_least("radius", radius, 0)
-    launch = _Launch("motion_correlation", checks, backend, device)
+    launch = Launch("motion_correlation", checks, backend, device)
     shifts, (batch, height, _) = 2 * radius + 1, first.shape
     rows = launch.scratch(batch, height, shifts, -(-shifts // 16) * 16)
     launch.run(*launch.put(first, second), radius, rows, launch.result(None, batch, shifts, shifts))
@@ -208,7 +172,7 @@ def reduce_image(image: Floats, *, ratio: float, backend: str = "auto", device: 
     checks = ArrayChecks()
     checks.floats("image", image, "B", "Y", "X")
     checks.at_least("ratio", ratio, 1.0)
-    launch = _Launch("reduce_image", checks, backend, device)
+    launch = Launch("reduce_image", checks, backend, device)
     batch, height, width = image.shape
     coarse_height = int(np.ceil(height / ratio))
     out = launch.result(None, batch, coarse_height, int(np.ceil(width / ratio)))
@@ -249,7 +213,7 @@ def correlate_templates(
     # the last columns may be computed for nothing: kernels work on at least four neighbours
     wide = max(4, width - n + 1)
     image = np.pad(image, ((0, 0), (0, 0), (0, wide - (width - n + 1))))
-    launch = _Launch("correlate_templates", checks, backend, device)
+    launch = Launch("correlate_templates", checks, backend, device)
     shape = (batch, max(0, height - n + 1), wide)
     response, angle = launch.result(None, *shape), launch.result(None, *shape, dtype=np.int32)
     launch.run(*launch.put(image, bank, disc, floor), response, angle)
@@ -279,7 +243,7 @@ def sample_moments(
     """
     checks = ArrayChecks()
     active = _check_moments(checks, image, image_idx, pose, points, table, active)
-    launch = _Launch("sample_moments", checks, backend, device)
+    launch = Launch("sample_moments", checks, backend, device)
     count, samples, moments = len(pose), len(points), table.shape[1] + 1
     chunks = launch.scratch(count, max(1, -(-samples // CHUNK)), moments)
     inputs = launch.put(image, image_idx, pose, active, points, table)
@@ -308,7 +272,7 @@ def sample_moments_adjoint(
     checks.floats("adj_moments", adj_moments, "N", table.shape[1] + 1)
     if out is not None:
         checks.floats("out", out, "B", "Y", "X")
-    launch = _Launch("sample_moments_adjoint", checks, backend, device)
+    launch = Launch("sample_moments_adjoint", checks, backend, device)
     inputs = launch.put(image, image_idx, pose, active, points, table, adj_moments)
     launch.run(*inputs, launch.result(out, *image.shape))
     return launch.results()[0]
@@ -352,7 +316,7 @@ def align_poses(
     columns = table.shape[1]
     if terms.min() < 0 or terms.max() >= columns:
         raise ValueError(f"terms must be 0 to {columns - 1}, got {terms.min()} to {terms.max()}")
-    launch = _Launch("align_poses", checks, backend, device)
+    launch = Launch("align_poses", checks, backend, device)
     settings = np.array([centre, scale, ridge, damping, tolerance], launch.dtype)
     inputs = launch.put(image, image_idx, points, table, table.T @ table, terms, factors, settings)
     refined, result = launch.result(pose.copy(), *pose.shape), launch.result(None, len(pose), 5)
@@ -387,7 +351,7 @@ def code_rhs(
     checks.floats("slope", slope, "P")
     checks.floats("gain", gain, "B", 2)
     checks.at_least("samples_a_module", samples_a_module, 1)
-    launch = _Launch("code_rhs", checks, backend, device)
+    launch = Launch("code_rhs", checks, backend, device)
     batch, samples = len(pose), len(lattice)
     modules = samples // samples_a_module
     inputs = launch.put(image, pose, lattice, profile, slope, gain)
@@ -425,7 +389,7 @@ def solve_code(
     checks.at_least("max_iterations", max_iterations, 0)
     if stencil.shape[1] % 2 == 0:
         raise ValueError(f"stencil must have an odd side, got {stencil.shape}")
-    launch = _Launch("solve_code", checks, backend, device)
+    launch = Launch("solve_code", checks, backend, device)
     batch, modules, _ = rhs.shape
     scratch = [launch.scratch(batch, modules, modules) for _ in range(4)]
     scratch += [launch.scratch(batch, 4, modules) for _ in range(2)]
@@ -460,7 +424,7 @@ def render_affine(
     checks = ArrayChecks()
     _check_render(checks, grid, affine, outside)
     size = _image_shape(checks, "out", out, shape)
-    launch = _Launch("render_affine", checks, backend, device)
+    launch = Launch("render_affine", checks, backend, device)
     launch.run(*launch.put(grid, affine, outside), launch.result(out, *size))
     return launch.results()[0]
 
@@ -483,7 +447,7 @@ def render_affine_adjoint(
     checks = ArrayChecks()
     _check_render(checks, grid, affine, outside)
     checks.floats("adj_image", adj_image, "B", "Y", "X")
-    launch = _Launch("render_affine_adjoint", checks, backend, device)
+    launch = Launch("render_affine_adjoint", checks, backend, device)
     batch, height, _ = adj_image.shape
     inputs = launch.put(grid, affine, outside, adj_image)
     rows = launch.scratch(batch, height, 6)
@@ -514,7 +478,7 @@ def brightness_residual(
     checks.floats("motion", motion, "B", 2)
     if out is not None:
         checks.floats("out", out, "B", "Y", "X")
-    launch = _Launch("brightness_residual", checks, backend, device)
+    launch = Launch("brightness_residual", checks, backend, device)
     launch.run(*launch.put(luminance, events_image, motion), launch.result(out, *luminance.shape))
     return launch.results()[0]
 
@@ -543,7 +507,7 @@ def brightness_residual_adjoint(
     checks.floats("luminance", luminance, "B", "Y", "X")
     checks.floats("motion", motion, "B", 2)
     checks.floats("adj_residual", adj_residual, "B", "Y", "X")
-    launch = _Launch("brightness_residual_adjoint", checks, backend, device)
+    launch = Launch("brightness_residual_adjoint", checks, backend, device)
     batch, height, _ = luminance.shape
     inputs = launch.put(luminance, motion, adj_residual)
     rows = launch.scratch(batch, height, 2)

@@ -1,0 +1,190 @@
+"""The ways to read one window that are timed beside each other, each from the same events.
+
+cold        nothing known: motion, search, stage one, lags, stage two, decoding
+tracked     the code was seen in the window before: stage one, stage two, decoding
+integrate   rival (a): the same motion from cold, an image by integration, an ordinary decoder
+integrate4  the same over a window twice as long, which it reads more of
+descent     rival (b): the paper's gradient descent, from the motion and the pose that stage one starts from
+"""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass
+
+import numpy as np
+
+from evqr.baselines import descent, integrate
+from evqr.decode import Decoded, decode_grid
+from evqr.initial.finder import find_hypotheses, find_peaks
+from evqr.region import outline
+from evqr.solver import Sighting, Solver, StageClock
+from evqr.stage_two import solve_modules
+from evqr.types import EventArray
+from evqr.windows import EventBuffer, Window
+
+METHODS = ("cold", "tracked", "integrate", "integrate4", "descent")
+
+
+@dataclass(frozen=True, eq=False)
+class Recording:
+    """Events with what a right reader gets out of them."""
+
+    case: str
+    events: EventArray
+    texts: frozenset[str]
+    starts_us: tuple[int, ...]
+
+
+@dataclass(frozen=True, eq=False)
+class Job:
+    """One window, and what each method may know beforehand.
+
+    Attributes
+    ----------
+    window_us   length of the window, as the solver chooses it
+    before      the code as seen one window earlier, for "tracked"; None where it was not found
+    start       first guess of velocity, pose and version, for "descent"; None where the search found none
+    """
+
+    recording: Recording
+    buffer: EventBuffer
+    start_us: int
+    window_us: int
+    before: Sighting | None
+    start: tuple[np.ndarray, np.ndarray, int] | None
+
+
+@dataclass(frozen=True)
+class Timing:
+    """One method on one window, once: milliseconds by stage and in all, and whether the text was right."""
+
+    case: str
+    job: int
+    method: str
+    ms: dict[str, float]
+    total: float
+    verdict: str
+
+
+def prepare(recording: Recording, solver: Solver) -> list[Job]:
+    """Find out, untimed, what "tracked" and "descent" start from."""
+    buffer = EventBuffer(iter([recording.events]))
+    jobs = []
+    for start_us in recording.starts_us:
+        motion = solver.motion_at(buffer, start_us)
+        if motion is None:
+            continue
+        length = solver.window_us(motion.speed)
+        before = start = None
+        earlier = buffer.window(start_us - length, start_us)
+        seen = solver.look(earlier, motion)
+        if isinstance(seen, Sighting):
+            before = seen
+            window = buffer.window(start_us, start_us + length)
+            start = _search(window, motion.velocity, seen, solver)
+        jobs.append(Job(recording, buffer, start_us, length, before, start))
+    return jobs
+
+
+def _search(
+    window: Window, velocity: np.ndarray, seen: Sighting, solver: Solver
+) -> tuple[np.ndarray, np.ndarray, int] | None:
+    """Return what the search finds of a code whose place is known: the pose before any refinement."""
+    peaks, _ = find_peaks(window, velocity, solver.config.finder, workspace=solver.workspace)
+    true = outline(seen.pose_at(window.middle_us), seen.size)
+    poses = [h.pose for h in find_hypotheses(peaks, solver.config.finder) if h.version == seen.version]
+    if not poses:
+        return None
+    return velocity, min(poses, key=lambda pose: np.abs(outline(pose, seen.size) - true).max()), seen.version
+
+
+def run_cold(job: Job, solver: Solver) -> str | None:
+    motion = solver.motion_at(job.buffer, job.start_us)
+    if motion is None:
+        return None
+    length = solver.window_us(motion.speed)
+    return _finish(solver.look(job.buffer.window(job.start_us, job.start_us + length), motion), solver)
+
+
+def run_tracked(job: Job, solver: Solver) -> str | None:
+    assert job.before is not None
+    window = job.buffer.window(job.start_us, job.start_us + job.window_us)
+    return _finish(solver.follow(window, job.before), solver)
+
+
+def _finish(seen: Sighting | str | None, solver: Solver) -> str | None:
+    if not isinstance(seen, Sighting):
+        return None
+    with solver.clock("stage_two"):
+        estimate = solve_modules(seen.equations, solver.config.stage_two, workspace=solver.workspace)
+    with solver.clock("decode"):
+        outcome = decode_grid(estimate.q)
+    return outcome.text if isinstance(outcome, Decoded) else None
+
+
+def _run_integrate(job: Job, solver: Solver, travel_px: float) -> str | None:
+    motion = solver.motion_at(job.buffer, job.start_us)
+    if motion is None:
+        return None
+    length = round(solver.window_us(motion.speed) * travel_px / solver.config.travel_px)
+    window = job.buffer.window(job.start_us, job.start_us + length)
+    reading = integrate.read_window(window, workspace=solver.workspace, motion=motion)
+    _add(solver.clock, reading.compute_ms)
+    return reading.text
+
+
+def run_integrate(job: Job, solver: Solver) -> str | None:
+    return _run_integrate(job, solver, solver.config.travel_px)
+
+
+def run_integrate4(job: Job, solver: Solver) -> str | None:
+    return _run_integrate(job, solver, 2.0 * solver.config.travel_px)
+
+
+def run_descent(job: Job, solver: Solver) -> str | None:
+    assert job.start is not None
+    window = job.buffer.window(job.start_us, job.start_us + job.window_us)
+    reading = descent.read_window(window, *job.start, workspace=solver.workspace)
+    _add(solver.clock, reading.compute_ms)
+    return reading.text
+
+
+def _add(clock: StageClock, ms) -> None:
+    clock.ms.update({stage: value for stage, value in ms.items() if stage != "total"})
+
+
+RUN: dict[str, Callable[[Job, Solver], str | None]] = {
+    "cold": run_cold,
+    "tracked": run_tracked,
+    "integrate": run_integrate,
+    "integrate4": run_integrate4,
+    "descent": run_descent,
+}
+
+
+def can_run(method: str, job: Job) -> bool:
+    """Whether the method has what it starts from."""
+    needs = {"tracked": job.before, "descent": job.start}
+    return needs.get(method, job) is not None
+
+
+def run_interleaved(jobs: list[Job], solver: Solver, rounds: int) -> Iterator[Timing]:
+    """Time every method on every window, one method after the other, so that a slow moment slows all alike.
+
+    The first round is not reported: buffers are made in it.
+    """
+    for round_ in range(rounds + 1):
+        for index, job in enumerate(jobs):
+            for method in METHODS:
+                if not can_run(method, job):
+                    continue
+                solver.clock = StageClock()
+                begin = time.perf_counter()
+                text = RUN[method](job, solver)
+                total = 1e3 * (time.perf_counter() - begin)
+                verdict = "missed" if text is None else "read" if text in job.recording.texts else "FALSE"
+                ms = {**solver.clock.ms, "rest": total - sum(solver.clock.ms.values())}
+                if round_ > 0:
+                    yield Timing(job.recording.case, index, method, ms, total, verdict)
