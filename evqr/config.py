@@ -96,9 +96,9 @@ class StageOneConfig:
 
     cells_a_module: float = 2.2
     sigma: float = 0.36
-    coarse_sigmas: tuple[float, ...] = (0.9, 0.5)
+    coarse_sigmas: tuple[float, ...] = (0.9, 0.6)
     samples: int = 2
-    coarse_samples: int = 2
+    coarse_samples: int = 1
     max_iterations: int = 8
     tolerance: float = 0.01
     damping: float = 1e-3

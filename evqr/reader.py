@@ -177,7 +177,9 @@ class _Passes:
             self._reason = sighting
             self._note(solver.clock)
             return after
-        self._speed, self._lag_us = motion.speed, sighting.lag_us
+        self._speed = motion.speed
+        if any(sighting.lag_us):
+            self._lag_us = sighting.lag_us
         track = Track(sighting, at_us, at_us + length, solver)
         self._tracks.append(track)
         self._settle(track)

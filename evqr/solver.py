@@ -32,6 +32,9 @@ from evqr_kernels.backend import get_backend
 GOOD_SCORE = 0.8
 """Correlation with the known modules that ends the search for a better candidate: one module off scores 0.56 to 0.67."""
 
+SHARP_SCORE = 0.93
+"""Correlation with the known modules above which pixels do not lag enough to look for it."""
+
 SURE_TRAVEL_PX = 0.6
 """Travel in a window below which the direction of the motion is not sure [px]."""
 
@@ -259,6 +262,8 @@ class Solver:
     ) -> Sighting:
         """Estimate what is still unknown of a code that was found, and measure it."""
         pose = closer.found.pose[0]
+        if lag_us is None and closer.score >= SHARP_SCORE:
+            lag_us = (0.0, 0.0)
         if lag_us is None:
             with self.clock("lag"):
                 lag_px, found = estimate_lag(
