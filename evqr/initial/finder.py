@@ -26,7 +26,7 @@ ANGLES = 8
 CLIP_RMS = 2.5
 """Cells are clipped at so many times the rms of the cells that have events: a hot pixel is no edge."""
 
-FLOOR = 0.15
+FLOOR = 0.4
 """Energy of a quiet place, as a share of a template's energy over cells of rms strength."""
 
 
