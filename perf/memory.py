@@ -28,8 +28,8 @@ STREAM = (
 )
 
 
-def write_recordings(small: Path, large: Path, gigabytes: float) -> None:
-    """Write one pass of a code, and as many as fill a size, uncompressed."""
+def write_recordings(small: Path, large: Path, gigabytes: float) -> int:
+    """Write one pass of a code, and as many as fill a size, uncompressed; return how many those are."""
     # Here, and in a process of its own: a process starts with the peak memory of the one that started it.
     import h5py
     import numpy as np
@@ -39,7 +39,8 @@ def write_recordings(small: Path, large: Path, gigabytes: float) -> None:
     one = simulate("A GIGABYTE", version=2, speed_px_ms=2.0, preset="slow", seed=1).events
     length = int(one.t[-1]) + PAUSE_US
     columns = {"t": one.t, "x": one.x, "y": one.y, "p": (one.p > 0).astype(np.int8)}
-    for path, count in ((small, 1), (large, max(1, round(gigabytes * 1e9 / (len(one) * BYTES_AN_EVENT))))):
+    passes = max(1, round(gigabytes * 1e9 / (len(one) * BYTES_AN_EVENT)))
+    for path, count in ((small, 1), (large, passes)):
         with h5py.File(path, "w") as file:
             file.attrs["width"], file.attrs["height"] = one.width, one.height
             for name, values in columns.items():
@@ -50,6 +51,7 @@ def write_recordings(small: Path, large: Path, gigabytes: float) -> None:
                     offset = k * length if name == "t" else 0
                     data[k * len(values) : (k + 1) * len(values)] = values + values.dtype.type(offset)
             file["events/t"].attrs["unit"] = "us"
+    return passes
 
 
 def run(command: list[str]) -> tuple[float, float, list[str]]:
@@ -85,16 +87,9 @@ def main() -> int:
     peaks = []
     with tempfile.TemporaryDirectory() as folder:
         small, large = Path(folder) / "one.h5", Path(folder) / "many.h5"
-        writer = get_context("spawn").Process(
-            target=write_recordings, args=(small, large, arguments.gigabytes)
-        )
-        writer.start()
-        writer.join()
-        if writer.exitcode != 0:
-            sys.exit(f"the writer failed with exit status {writer.exitcode}")
-        print(
-            f"{large.stat().st_size / 1e9:.2f} GB, {large.stat().st_size / small.stat().st_size:.0f} passes"
-        )
+        with get_context("spawn").Pool(1) as pool:
+            passes = pool.apply(write_recordings, (small, large, arguments.gigabytes))
+        print(f"{large.stat().st_size / 1e9:.2f} GB, {passes} passes of a code")
         stop = ["--max-windows", str(arguments.max_windows)] if arguments.max_windows else []
         whole = f"evqr read, first {arguments.max_windows} windows" if stop else "evqr read, whole file"
         for what, command in (
