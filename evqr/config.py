@@ -53,6 +53,11 @@ class FinderConfig:
     scale_ratio          step from one module size to the next
     cells_a_module       resolution of the search: cells of the reduced image a module
     half                 half width of a template [cells]
+    quick_module_px      module sizes of the first, quick look [px]
+    quick_peaks          peaks that it keeps
+    quick_score          coarse score that a candidate of the quick look needs for a closer look
+    quick_floor, floor   energy under a template, relative to that over cells of rms strength, below which a place is
+                         quiet: in the quick look and in the thorough one
     min_response         normalised response of a finder pattern that counts, 0 to 1
     max_peaks            peaks kept, the best over all scales
     max_hypotheses       codes handed to stage one, the best by response
@@ -66,10 +71,15 @@ class FinderConfig:
     scale_ratio: float = 1.22
     cells_a_module: float = 1.25
     half: int = 6
+    quick_module_px: tuple[float, float] = (4.6, 11.0)
+    quick_peaks: int = 24
+    quick_score: float = 0.5
+    quick_floor: float = 0.8
+    floor: float = 0.3
     min_response: float = 0.35
     max_peaks: int = 64
     max_hypotheses: int = 48
-    first_hypotheses: int = 6
+    first_hypotheses: int = 4
     leg_tolerance: float = 0.2
     scale_tolerance: float = 0.16
     angle_tolerance: float = 0.24
@@ -83,9 +93,8 @@ class StageOneConfig:
     ----------
     cells_a_module     resolution of the image around the code: cells a module
     sigma              blur of the model at the last level [modules]
-    coarse_sigmas      blurs of the levels before it when the pose is only roughly known [modules]
+    coarse_levels      blur [modules] and samples a module of the levels before it, for a pose from the search
     samples            samples a module at the last level
-    coarse_samples     samples a module at the levels before
     max_iterations     at each level
     tolerance          step at which a level has converged [modules]
     damping            Levenberg-Marquardt, relative to the diagonal
@@ -96,9 +105,8 @@ class StageOneConfig:
 
     cells_a_module: float = 2.2
     sigma: float = 0.36
-    coarse_sigmas: tuple[float, ...] = (0.9, 0.6)
+    coarse_levels: tuple[tuple[float, int], ...] = ((0.9, 1), (0.5, 2))
     samples: int = 2
-    coarse_samples: int = 1
     max_iterations: int = 8
     tolerance: float = 0.01
     damping: float = 1e-3

@@ -38,8 +38,11 @@ SHARP_SCORE = 0.93
 SURE_TRAVEL_PX = 0.6
 """Travel in a window below which the direction of the motion is not sure [px]."""
 
-UNSURE_TURNS = tuple(np.deg2rad((0.0, 45.0, -45.0, 90.0)))
-"""Turns of the direction that are tried then [rad]; the opposite ones look like an inverted code."""
+SURE_LOOKS = ((0.0, True), (0.0, False))
+"""Looks for a code one after another until one is found: turn of the direction [rad], and whether the look is quick."""
+
+UNSURE_LOOKS = tuple((turn, False) for turn in np.deg2rad((0.0, 45.0, -45.0, 90.0)))
+"""Looks where the direction is not sure; the opposite directions look like an inverted code."""
 
 SEARCH_MARGIN_PX = 4.0
 """How far the pose from the search may be off, for the size of the region [px]."""
@@ -114,11 +117,14 @@ class Sighting:
 
 @dataclass(frozen=True, eq=False)
 class _Closer:
-    """A candidate, refined: its region, the events near it, the alignment, and the iterations of all that were tried."""
+    """A candidate, refined: its region, the events near it, their image while it is still there, the alignment, and the
+    iterations of all that were tried.
+    """
 
     version: int
     region: Region
     events: Window
+    image: Any
     found: Alignment
     iterations: int = 0
 
@@ -192,10 +198,10 @@ class Solver:
         lag_us = self.config.lag_us or lag_us
         if motion.speed <= 0.0:
             return "nothing moves"
-        turns = (0.0,) if motion.speed * window.seconds >= SURE_TRAVEL_PX else UNSURE_TURNS
+        sure = motion.speed * window.seconds >= SURE_TRAVEL_PX
         best: Sighting | str = ""
-        for turn in turns:
-            found = self._look_along(window, _turned(motion.velocity, turn), lag_us)
+        for turn, quick in SURE_LOOKS if sure else UNSURE_LOOKS:
+            found = self._look_along(window, _turned(motion.velocity, turn), lag_us, quick=quick)
             if isinstance(best, str) or (isinstance(found, Sighting) and found.score > best.score):
                 best = found
             if isinstance(best, Sighting) and best.score >= GOOD_SCORE:
@@ -203,12 +209,17 @@ class Solver:
         return best
 
     def _look_along(
-        self, window: Window, velocity: NDArray[np.float64], lag_us: tuple[float, float] | None
+        self,
+        window: Window,
+        velocity: NDArray[np.float64],
+        lag_us: tuple[float, float] | None,
+        *,
+        quick: bool,
     ) -> Sighting | str:
         """Find a code that moves with a velocity."""
         cfg, clock, workspace = self.config, self.clock, self.workspace
         with clock("finder"):
-            peaks, pyramid = find_peaks(window, velocity, cfg.finder, workspace=workspace)
+            peaks, pyramid = find_peaks(window, velocity, cfg.finder, workspace=workspace, quick=quick)
             hypotheses = find_hypotheses(peaks, cfg.finder)
         if not hypotheses:
             return f"no three finder patterns that fit together among {len(peaks.response)} candidates"
@@ -216,9 +227,13 @@ class Solver:
         best: Sighting | None = None
         closest = 0.0
         iterations = 0
-        for batch in filter(None, (hypotheses[:first], hypotheses[first:])):
+        for batch in filter(None, (hypotheses[:first], [] if quick else hypotheses[first:])):
             with clock("pose"):
                 candidates, steps = screen(batch, pyramid, cfg.stage_one, workspace=workspace)
+            if quick:
+                candidates = [c for c in candidates if c.score >= cfg.finder.quick_score]
+            if not candidates:
+                continue
             with clock("stage_one"):
                 closer = self._look_closer(window, velocity, candidates[: cfg.stage_one.closer_looks], lag_us)
             iterations += steps + closer.iterations
@@ -251,34 +266,42 @@ class Solver:
             found = refine_from_cold(
                 image, region.from_px @ candidate.pose, candidate.version, cfg, workspace=self.workspace
             )
-            looks.append(_Closer(candidate.version, region, near, found))
+            looks.append(_Closer(candidate.version, region, near, image, found))
             if looks[-1].score >= GOOD_SCORE:
                 break
         best = max(looks, key=lambda look: look.score)
-        return replace(best, iterations=sum(look.found.iterations for look in looks))
+        return replace(
+            best,
+            image=best.image if best is looks[-1] else None,
+            iterations=sum(look.found.iterations for look in looks),
+        )
 
     def _settle(
         self, closer: _Closer, velocity: NDArray[np.float64], lag_us: tuple[float, float] | None, iterations: int
     ) -> Sighting:
         """Estimate what is still unknown of a code that was found, and measure it."""
-        pose = closer.found.pose[0]
+        found = closer.found
         if lag_us is None and closer.score >= SHARP_SCORE:
             lag_us = (0.0, 0.0)
+        if lag_us is not None and closer.image is not None:
+            return self._sighting(
+                closer.events, closer.image, found, velocity, closer.region, closer.version, lag_us, iterations
+            )
         if lag_us is None:
             with self.clock("lag"):
                 lag_px, found = estimate_lag(
                     closer.events,
                     velocity,
                     closer.region,
-                    pose,
+                    found.pose[0],
                     closer.version,
                     self.config.stage_one,
                     workspace=self.workspace,
                 )
             per_us = float(np.hypot(*velocity)) * 1e-6
-            lag_us, pose = (lag_px[0] / per_us, lag_px[1] / per_us), found.pose[0]
+            lag_us = (lag_px[0] / per_us, lag_px[1] / per_us)
         return self._measure(
-            closer.events, velocity, closer.region, pose, closer.version, lag_us, iterations
+            closer.events, velocity, closer.region, found.pose[0], closer.version, lag_us, iterations
         )
 
     def _image(
@@ -310,21 +333,36 @@ class Solver:
         iterations: int,
     ) -> Sighting:
         """Stage one at its finest level with the lags undone, then stage two's equations."""
-        cfg, workspace = self.config, self.workspace
+        cfg = self.config.stage_one
         with self.clock("stage_one"):
             image = self._image(window, velocity, region, lag_us)
-            found = align(
-                image, pose[None], version, fine_levels(cfg.stage_one), cfg.stage_one, workspace=workspace
-            )
+            found = align(image, pose[None], version, fine_levels(cfg), cfg, workspace=self.workspace)
+        return self._sighting(
+            window, image, found, velocity, region, version, lag_us, iterations + found.iterations
+        )
+
+    def _sighting(
+        self,
+        window: Window,
+        image: Any,
+        found: Alignment,
+        velocity: NDArray[np.float64],
+        region: Region,
+        version: int,
+        lag_us: tuple[float, float],
+        iterations: int,
+    ) -> Sighting:
+        """Build stage two's equations of a code whose pose is known."""
+        cfg = self.config
         with self.clock("stage_two"):
             equations = normal_equations(
                 image, found.pose[0], found.gain[0], version, cfg.stage_one.sigma, cfg.stage_two,
-                workspace=workspace,
+                workspace=self.workspace,
             )  # fmt: skip
-        pose_px = np.linalg.inv(region.from_px) @ found.pose[0]
+        pose = np.linalg.inv(region.from_px) @ found.pose[0]
         return Sighting(
             version=version,
-            pose=pose_px / pose_px[2, 2],
+            pose=pose / pose[2, 2],
             velocity=velocity,
             gain=found.gain[0],
             score=float(found.score[0]),
@@ -332,5 +370,5 @@ class Solver:
             lag_us=lag_us,
             equations=equations,
             time_us=window.middle_us,
-            iterations=iterations + found.iterations,
+            iterations=iterations,
         )

@@ -36,7 +36,7 @@ class Level:
 
 def coarse_levels(cfg: StageOneConfig) -> tuple[Level, ...]:
     """The levels that a pose from the search goes through before the last."""
-    return tuple(Level(sigma=s, samples=cfg.coarse_samples, tilt=False) for s in cfg.coarse_sigmas)
+    return tuple(Level(sigma=sigma, samples=samples, tilt=False) for sigma, samples in cfg.coarse_levels)
 
 
 def fine_levels(cfg: StageOneConfig) -> tuple[Level, ...]:
@@ -144,12 +144,12 @@ def shifted(pose: NDArray[np.float64]) -> NDArray[np.float64]:
 def refine_from_cold(
     image: Any, pose: NDArray[np.float64], version: int, cfg: StageOneConfig, *, workspace: Workspace
 ) -> Alignment:
-    """Refine one pose (3, 3) from the coarse look: the last levels, then the neighbours one module away.
+    """Refine one pose (3, 3) from the coarse look: the finest level, then the neighbours one module away.
 
     The cost has a side minimum one module off, where finder patterns half agree.  Its neighbours are looked at, not refined: from
     a side minimum the true pose is exactly one module away.
     """
-    levels = (*coarse_levels(cfg)[-1:], *fine_levels(cfg))
+    levels = fine_levels(cfg)
     found = align(image, pose[None], version, levels, cfg, workspace=workspace)
     around = shifted(found.pose[0])
     score = align(image, around, version, levels[-1:], cfg, workspace=workspace, max_iterations=0).score

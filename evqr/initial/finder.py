@@ -26,9 +26,6 @@ ANGLES = 8
 CLIP_RMS = 2.5
 """Cells are clipped at so many times the rms of the cells that have events: a hot pixel is no edge."""
 
-FLOOR = 0.4
-"""Energy of a quiet place, as a share of a template's energy over cells of rms strength."""
-
 
 @dataclass(frozen=True, eq=False)
 class Peaks:
@@ -116,9 +113,9 @@ def _bank(direction: NDArray[np.float64], cfg: FinderConfig) -> tuple[NDArray[np
     return np.ascontiguousarray(bank, dtype=np.float32), disc.astype(np.float32)
 
 
-def _module_sizes(cfg: FinderConfig) -> list[float]:
-    count = math.ceil(math.log(cfg.largest_module_px / cfg.smallest_module_px) / math.log(cfg.scale_ratio)) + 1
-    return [cfg.smallest_module_px * cfg.scale_ratio**k for k in range(count)]
+def _module_sizes(smallest: float, largest: float, ratio: float) -> list[float]:
+    count = math.ceil(math.log(largest / smallest) / math.log(ratio)) + 1
+    return [smallest * ratio**k for k in range(count)]
 
 
 def _four(count: int) -> int:
@@ -132,6 +129,7 @@ def find_peaks(
     *,
     workspace: Workspace,
     lag_px: tuple[float, float] = (0.0, 0.0),
+    quick: bool = False,
 ) -> tuple[Peaks, list[PyramidLevel]]:
     """Find what looks like a finder pattern in a window.
 
@@ -139,6 +137,8 @@ def find_peaks(
     ----------
     velocity : (2,) [px/s]
     lag_px          lag of the pixels for ON and OFF events along the motion [px]
+    quick           only the module sizes of ``cfg.quick_module_px``, and only places with much energy: most codes at a third
+                    of the cost
 
     Returns
     -------
@@ -151,7 +151,9 @@ def find_peaks(
     found: list[NDArray[np.float64]] = []
     pyramid: list[PyramidLevel] = []
     busy = 0.0
-    for module_px in _module_sizes(cfg):
+    sizes = cfg.quick_module_px if quick else (cfg.smallest_module_px, cfg.largest_module_px)
+    quiet, keep = (cfg.quick_floor, cfg.quick_peaks) if quick else (cfg.floor, cfg.max_peaks)
+    for module_px in _module_sizes(*sizes, cfg.scale_ratio):
         cell = module_px / cfg.cells_a_module
         height, width = math.ceil(window.height / cell), _four(math.ceil(window.width / cell))
         if min(height, width) < 2 * cfg.half + 1:
@@ -169,17 +171,17 @@ def find_peaks(
         pyramid.append(PyramidLevel(cell, image))
         flat = workspace.get(padded).ravel()
         mean_square = float(np.dot(flat, flat)) / max(busy * cells.size, 1.0)
-        floor = np.array([FLOOR * mean_square * float(disc.sum())], np.float32)
+        floor = np.array([quiet * mean_square * float(disc.sum())], np.float32)
         response = workspace.buffer("finder response", (1, height, width))
         angle = workspace.buffer("finder angle", (1, height, width), np.int32)
         backend.correlate_templates(padded, bank_dev, disc_dev, workspace.put(floor), response, angle)
         backend.synchronize(device)
-        found.append(_local_peaks(workspace.get(response)[0], workspace.get(angle)[0], module_px, cell, cfg))
+        found.append(_local_peaks(workspace.get(response)[0], workspace.get(angle)[0], module_px, cell, keep, cfg))
     if not found:
         raise ValueError(
             f"the sensor must be large enough for a finder pattern, got {window.width}x{window.height}"
         )
-    return _merge(np.concatenate(found), cfg), pyramid
+    return _merge(np.concatenate(found), keep, cfg), pyramid
 
 
 def _level_buffers(height: int, width: int, pad: int, workspace: Workspace) -> tuple[Any, Any]:
@@ -214,7 +216,7 @@ def _finest(
 
 
 def _local_peaks(
-    response: NDArray[np.float32], angle: NDArray[np.int32], module_px: float, cell: float, cfg: FinderConfig
+    response: NDArray[np.float32], angle: NDArray[np.int32], module_px: float, cell: float, keep: int, cfg: FinderConfig
 ) -> NDArray[np.float64]:
     """Local maxima of |response| on one level: rows of (response, x, y, module, angle)."""
     height, width = response.shape
@@ -227,8 +229,8 @@ def _local_peaks(
     for step in (-width - 1, -width, -width + 1, -1, 1, width - 1, width, width + 1):
         top = value >= np.abs(flat[at + step])
         at, rows, columns, value = at[top], rows[top], columns[top], value[top]
-    if len(at) > cfg.max_peaks:
-        best = np.argpartition(-value, cfg.max_peaks)[: cfg.max_peaks]
+    if len(at) > keep:
+        best = np.argpartition(-value, keep)[:keep]
         at, rows, columns, value = at[best], rows[best], columns[best], value[best]
 
     def offset(step: int) -> NDArray[np.float64]:
@@ -248,9 +250,9 @@ def _local_peaks(
     )
 
 
-def _merge(found: NDArray[np.float64], cfg: FinderConfig) -> Peaks:
+def _merge(found: NDArray[np.float64], keep: int, cfg: FinderConfig) -> Peaks:
     """The best peaks; a place seen again on a neighbouring level is the same peak."""
-    found = found[np.argsort(-np.abs(found[:, 0]), kind="stable")][: 2 * cfg.max_peaks]
+    found = found[np.argsort(-np.abs(found[:, 0]), kind="stable")][: 2 * keep]
     x, y, size = found[:, 1], found[:, 2], np.log(np.maximum(found[:, 3], 1e-9))
     same = np.hypot(x[:, None] - x, y[:, None] - y) < 2.0 * found[:, 3][:, None]
     same &= np.abs(size[:, None] - size) < 1.5 * math.log(cfg.scale_ratio)
@@ -261,7 +263,7 @@ def _merge(found: NDArray[np.float64], cfg: FinderConfig) -> Peaks:
         if left[k]:
             left &= ~same[k]
             kept.append(k)
-            if len(kept) == cfg.max_peaks:
+            if len(kept) == keep:
                 break
     table = found[kept]
     return Peaks(table[:, 0], table[:, 1:3], table[:, 3], table[:, 4])
