@@ -34,7 +34,7 @@ def test_the_right_hypothesis_of_a_search_comes_first(version, module_px, preset
     size = 17 + 4 * version
     assert candidates[0].version == version
     assert modules_off(candidates[0], pose, size, module_px) < 0.5
-    assert candidates[0].score > 0.8
+    assert candidates[0].score > CONFIG.min_score
     assert iterations > 0
     # What is no neighbour of the truth agrees less.
     others = [
