@@ -417,7 +417,13 @@ def info(recording: Path, as_json: bool, sensor: tuple[int, int] | None, time_un
     epilog=_examples('evqr simulate pass.h5 --text "LOT 42" --preset fast --seed 1', "evqr read pass.h5")
 )
 @click.argument("output", metavar="OUT.h5", type=click.Path(path_type=Path))
-@click.option("--text", default="EVQR", show_default=True, help="What the code says.")
+@click.option(
+    "--text",
+    multiple=True,
+    default=["EVQR"],
+    show_default=True,
+    help="What the code says.  Given several times: as many codes, one behind the other.",
+)
 @click.option(
     "--version", type=click.IntRange(1, 40), metavar="1-40", help="Default: the smallest that fits."
 )
@@ -453,7 +459,7 @@ def info(recording: Path, as_json: bool, sensor: tuple[int, int] | None, time_un
 )
 def simulate(
     output: Path,
-    text: str,
+    text: tuple[str, ...],
     version: int | None,
     ec: Any,
     mask: int | None,
@@ -469,9 +475,9 @@ def simulate(
     duration_us: int | None,
     seed: int,
 ) -> int:
-    """Write a recording of a simulated code.
+    """Write a recording of simulated codes.
 
-    A printed code on a textured object passes an event camera.  The recording holds the events and the truth.
+    A textured object with a printed code passes an event camera; the recording holds events and truth.
     """
     from evqr.recording import save_recording
     from evqr.simulate import simulate as run_simulation
@@ -495,7 +501,7 @@ def simulate(
         duration_us=duration_us,
         seed=seed,
     )
-    save_recording(output, made.events, truth=made.truth.get("truth"))
+    save_recording(output, made.events, truth=made.truth)
     events = made.events
     duration_ms = (int(events.t[-1]) - int(events.t[0])) / 1000 if len(events) else 0.0
     click.echo(f"{output}: {len(events):,} events in {duration_ms:.1f} ms, {events.width}x{events.height}")

@@ -29,7 +29,7 @@ def scene(
 
 
 def at(truth, field: str, time_us: float) -> np.ndarray:
-    """Pose "H" (3, 3) or "velocity" (2,) at a time: nearly linear between the times that truth is given at."""
+    """Pose "H" (3, 3) or "velocity" (2,) at a time: nearly linear between those that truth gives."""
     t, values = truth["t_us"], truth[field]
     k = int(np.clip(np.searchsorted(t, time_us) - 1, 0, len(t) - 2))
     share = (time_us - t[k]) / (t[k + 1] - t[k])

@@ -8,6 +8,7 @@ import subprocess
 import sys
 from pathlib import Path
 
+import h5py
 import numpy as np
 import pytest
 import sample_results
@@ -343,6 +344,14 @@ def test_simulate_and_info(capsys, tmp_path):
     status, out, _ = run(capsys, "info", path)
     assert status == 0
     assert "sensor      200x160" in out
+
+
+def test_simulate_several_codes(capsys, tmp_path):
+    path = tmp_path / "two.h5"
+    made = "--text A --text B --module-px 2 --sensor 160x120 --duration-us 500 --preset fast"
+    assert run(capsys, "simulate", path, *made.split())[0] == 0
+    with h5py.File(path) as file:
+        assert (file["truth"].attrs["payload"], file["truth2"].attrs["payload"]) == ("A", "B")
 
 
 @pytest.mark.parametrize("command", ["read", "info", "simulate", "demo"])

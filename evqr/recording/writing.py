@@ -15,17 +15,19 @@ from ..types import EventArray
 CHUNK_EVENTS = 1 << 16
 
 
-def save_recording(
-    path: str | os.PathLike[str], events: EventArray, *, truth: Mapping[str, Any] | None = None
-) -> None:
+Truth = Mapping[str, Mapping[str, Any]]
+
+
+def save_recording(path: str | os.PathLike[str], events: EventArray, *, truth: Truth | None = None) -> None:
     """Write events, so that `open_recording` gives them back exactly.
 
     Parameters
     ----------
     path     .h5 or .hdf5 (``events/{t,x,y,p}``, p as {0, 1}, attrs width and height) or .npz (the same names)
     events   what to write
-    truth    what is true of the scene: scalars become attributes of the group ``truth``, arrays its datasets;
-             in .npz all become arrays ``truth/NAME``
+    truth    what is true of each code, as `evqr.simulate` tells it: name of a group ("truth", "truth2", ...)
+             to its fields.  Scalars become attributes of the group, arrays its datasets; in .npz all become
+             arrays ``GROUP/NAME``
 
     Raises
     ------
@@ -49,7 +51,7 @@ def _columns(events: EventArray) -> dict[str, np.ndarray]:
     return {"t": events.t, "x": events.x, "y": events.y, "p": (events.p > 0).astype(np.int8)}
 
 
-def _write_hdf5(path: Path, events: EventArray, truth: Mapping[str, Any]) -> None:
+def _write_hdf5(path: Path, events: EventArray, truth: Truth) -> None:
     import h5py
 
     with h5py.File(path, "w") as file:
@@ -64,16 +66,16 @@ def _write_hdf5(path: Path, events: EventArray, truth: Mapping[str, Any]) -> Non
                 **({"compression": "gzip", "shuffle": True} if chunks else {}),
             )
         group["t"].attrs["unit"] = "us"
-        if truth:
-            told = file.create_group("truth")
-            for name, value in truth.items():
+        for code, fields in truth.items():
+            told = file.create_group(code)
+            for name, value in fields.items():
                 if np.ndim(value) == 0:
                     told.attrs[name] = value
                 else:
                     told.create_dataset(name, data=np.asarray(value))
 
 
-def _write_npz(path: Path, events: EventArray, truth: Mapping[str, Any]) -> None:
+def _write_npz(path: Path, events: EventArray, truth: Truth) -> None:
     np.savez_compressed(
         path,
         allow_pickle=False,
@@ -81,5 +83,9 @@ def _write_npz(path: Path, events: EventArray, truth: Mapping[str, Any]) -> None
         width=events.width,
         height=events.height,
         time_unit="us",
-        **{f"truth/{name}": np.asarray(value) for name, value in truth.items()},
+        **{
+            f"{code}/{name}": np.asarray(value)
+            for code, fields in truth.items()
+            for name, value in fields.items()
+        },
     )

@@ -11,15 +11,16 @@ The object moves in its plane on a straight line, so that each pixel's path over
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from evqr.errors import UsageError
-from evqr.simulate.config import SceneConfig
-from evqr.simulate.symbol import Symbol
+from evqr.simulate.config import CodePlacement, SceneConfig
+from evqr.simulate.symbol import QUIET_MODULES, Symbol, make_symbol
 
 #: Travel of a recording whose duration is left open [px].
 DEFAULT_TRAVEL_PX = 40.0
@@ -65,6 +66,24 @@ def code_to_object(symbol: Symbol, direction: float) -> Matrix:
     centre = np.full(2, len(symbol.modules) / 2)
     turned[:2, 2] = np.asarray(p.offset_px) - turned[:2, :2] @ centre
     return turned
+
+
+def in_a_row(placements: Sequence[CodePlacement], direction: float) -> list[CodePlacement]:
+    """Put codes one behind the other along a travel in ``direction`` [deg], each with its quiet zone.
+
+    The first is the first to pass; one alone is in the object's centre.
+    """
+    lengths = []
+    for placement in placements:
+        symbol = make_symbol(replace(placement, offset_px=(0.0, 0.0)))
+        corners = transform(code_to_object(symbol, direction), code_corners(symbol, QUIET_MODULES + 1))
+        lengths.append(float(np.ptp(corners[:, 0])))
+    ends = sum(lengths) / 2 - np.cumsum([0.0, *lengths])
+    middles = (ends[:-1] + ends[1:]) / 2
+    return [
+        replace(placement, offset_px=(float(along), 0.0))
+        for placement, along in zip(placements, middles, strict=True)
+    ]
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -16,7 +16,7 @@ from evqr.simulate.config import (
     SensorConfig,
     sensor_of,
 )
-from evqr.simulate.geometry import plan_motion
+from evqr.simulate.geometry import in_a_row, plan_motion
 from evqr.simulate.sensor import add_noise, draw_pixels, read_out, run_pixels
 from evqr.simulate.symbol import make_symbol
 from evqr.simulate.texture import draw_background, draw_object
@@ -42,7 +42,7 @@ class Simulation:
 
 
 def simulate(
-    text: str = "EVQR",
+    text: str | Sequence[str] = "EVQR",
     *,
     version: int | None = None,
     ec: EcLevel = "M",
@@ -68,7 +68,7 @@ def simulate(
     Parameters
     ----------
     text, version, ec, mask, angle, module_px, invert
-        the code, as in `CodePlacement`
+        the code, as in `CodePlacement`; several texts make as many codes, one behind the other
     direction, tilt, duration_us, start, width, height, seed
         the scene, as in `SceneConfig`
     speed_px_ms
@@ -78,7 +78,7 @@ def simulate(
     code
         False: no code, but things that look a little like one
     codes
-        several codes on the same object, in place of the one that the arguments above describe
+        codes on the object, in place of those that the arguments above describe
     threads
         number of threads; None: one a core, at most 8.  The result does not depend on it.
 
@@ -92,10 +92,11 @@ def simulate(
     if speed_px_ms is None:
         speed_px_ms = PRESET_SPEEDS_PX_MS[preset] if isinstance(preset, str) else PRESET_SPEEDS_PX_MS["clean"]
     if codes is None:
-        one = CodePlacement(
-            text=text, version=version, ec=ec, mask=mask, module_px=module_px, angle=angle, invert=invert
+        texts = [text] if isinstance(text, str) else text
+        alike = CodePlacement(
+            text="-", version=version, ec=ec, mask=mask, module_px=module_px, angle=angle, invert=invert
         )
-        codes = [one] if code else []
+        codes = in_a_row([replace(alike, text=each) for each in texts], direction) if code else []
     scene = SceneConfig(
         codes=tuple(codes),
         width=width,

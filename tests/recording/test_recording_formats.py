@@ -53,17 +53,23 @@ def test_the_end_is_known_at_once_where_it_can_be_looked_at(tmp_path, kind):
 
 
 def test_saved_truth_has_the_layout_of_the_development_recordings(tmp_path, events):
-    truth = {"payload": "LOT-1", "version": 2, "modules": np.eye(25, dtype=np.uint8), "t_us": np.arange(3)}
+    first = {"payload": "LOT-1", "version": 2, "modules": np.eye(25, dtype=np.uint8), "t_us": np.arange(3)}
+    truth = {"truth": first, "truth2": {**first, "payload": "LOT-2"}}
     save_recording(tmp_path / "a.h5", events, truth=truth)
     with h5py.File(tmp_path / "a.h5") as file:
         assert (file.attrs["width"], file.attrs["height"]) == SENSOR
         assert set(np.unique(file["events/p"][:])) == {0, 1}
+        assert set(file) == {"events", "truth", "truth2"}
         assert (file["truth"].attrs["payload"], file["truth"].attrs["version"]) == ("LOT-1", 2)
-        np.testing.assert_array_equal(file["truth/modules"][:], truth["modules"])
+        assert file["truth2"].attrs["payload"] == "LOT-2"
+        np.testing.assert_array_equal(file["truth2/modules"][:], first["modules"])
     save_recording(tmp_path / "a.npz", events, truth=truth)
     with np.load(tmp_path / "a.npz", allow_pickle=False) as file:
-        assert file["truth/payload"] == "LOT-1"
-        np.testing.assert_array_equal(file["truth/t_us"], truth["t_us"])
+        assert (file["truth/payload"], file["truth2/payload"]) == ("LOT-1", "LOT-2")
+        np.testing.assert_array_equal(file["truth/t_us"], first["t_us"])
+    for name in ("a.h5", "a.npz"):
+        with open_recording(tmp_path / name) as recording:
+            assert_same_events(recording.read(), events)
 
 
 def test_saving_refuses_other_suffixes_and_unwritable_places(tmp_path, events):

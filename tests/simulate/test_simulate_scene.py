@@ -1,5 +1,7 @@
 """Scenes: the truth fits the events, options do what they say, and what cannot be is refused."""
 
+from itertools import pairwise
+
 import numpy as np
 import pytest
 import segno
@@ -130,6 +132,18 @@ def test_codes_after_one_another_pass_completely():
         assert truth["in_view"].any() and not truth["in_view"][0] and not truth["in_view"][-1]
     first, second = (t["in_view"].nonzero()[0].mean() for t in made.truth.values())
     assert first < second
+
+
+def test_several_texts_are_printed_one_behind_the_other():
+    made = simulate(["first to pass", "2", "3"], angle=20.0, direction=70.0, module_px=2.5, preset=QUIET)
+    assert [t["payload"] for t in made.truth.values()] == ["first to pass", "2", "3"]
+    heading = np.array([np.cos(np.deg2rad(70.0)), np.sin(np.deg2rad(70.0))])
+    along = [
+        (transform(pose_at(truth, 0), code_corners(make_symbol(placement), margin=4.0)) @ heading)
+        for truth, placement in zip(made.truth.values(), made.scene.codes, strict=True)
+    ]
+    for ahead, behind in pairwise(along):
+        assert ahead.min() > behind.max()
 
 
 def test_a_scene_without_a_code_has_as_many_events_and_no_truth():

@@ -8,7 +8,7 @@ import pytest
 from scenes import at, corners, middle_us, window_of
 
 from evqr.config import StageOneConfig
-from evqr.region import Region, events_near, region_around, splat_region
+from evqr.region import Region, deposit, events_near, region_around, sharpen
 from evqr.windows import Window
 from evqr.workspace import Workspace
 from evqr_kernels.backend import get_backend
@@ -63,16 +63,16 @@ def workspace():
 def see(workspace):
     """Make what there is to see of a simulation, optionally at another time than its middle."""
 
-    def look(made, *, middle=None, travel_px=2.0, cfg=StageOneConfig(), name="truth"):
+    def look(made, *, middle=None, travel_px=2.0, name="truth"):
+        cfg = StageOneConfig()
         truth = made.truth[name]
         time = middle_us(made) if middle is None else middle
         pose, velocity = at(truth, "H", time), at(truth, "velocity", time)
         window = window_of(made, travel_px, middle=time)
         region = region_around(pose, len(truth["modules"]), cfg, margin_px=4.0)
         events = events_near(window, velocity, region)
-        # an image of its own: two that are seen may be used side by side
-        image = workspace.backend.empty((1, region.height, region.width), np.float32, "cpu")
-        splat_region(events, velocity, region, cfg, workspace=workspace, image=image)
+        cells = deposit(events, velocity, region, workspace=workspace)
+        image = sharpen(cells, velocity, region, [(0.0, 0.0)], workspace=workspace)
         return Seen(
             version=truth["version"],
             modules=1.0 - 2.0 * truth["modules"],
@@ -81,7 +81,8 @@ def see(workspace):
             module_px=made.scene.codes[0].module_px,
             region=region,
             events=events,
-            image=image,
+            # a copy: two that are seen may be used side by side
+            image=workspace.put(workspace.get(image).copy()),
         )
 
     return look

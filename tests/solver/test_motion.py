@@ -12,7 +12,7 @@ from evqr.windows import EventBuffer, Window, make_window
 CONFIG = MotionConfig()
 
 SPEED_TOLERANCE = 0.12
-"""Relative.  Over the 3 px of a window, 12 % are 0.2 px on either side of the middle: a small part of a module."""
+"""Relative.  Over the 3 px of a window, 12 % are 0.2 px on either side of the middle: a part of a module."""
 
 DIRECTION_TOLERANCE_DEG = 10.0
 """Over 2 px of travel, 10 degrees blur by 0.35 px; most of it is seen where code and motion have one axis."""

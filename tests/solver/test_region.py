@@ -6,7 +6,7 @@ from scenes import scene, window_of
 
 from evqr.config import StageOneConfig
 from evqr.model import QUIET_MODULES
-from evqr.region import Region, events_near, module_px, outline, region_around, splat_region
+from evqr.region import Region, deposit, events_near, module_px, outline, region_around, sharpen
 from evqr.windows import Window
 
 CONFIG = StageOneConfig()
@@ -69,12 +69,30 @@ def test_cells_count_from_the_centre_of_the_first():
     np.testing.assert_allclose(region.from_px @ (13.75, 26.25, 1.0), [1.0, 2.0, 1.0])
 
 
+def shown(window, velocity, region, workspace, *lags_px):
+    """Images (N, height, width) of a window, one a pair of lags."""
+    cells = deposit(window, velocity, region, workspace=workspace)
+    return workspace.get(
+        sharpen(cells, velocity, region, list(lags_px or [(0.0, 0.0)]), workspace=workspace)
+    ).copy()
+
+
 def test_events_land_where_the_map_says(workspace):
     region = Region(10.0, 20.0, 2.0, 32, 48)
-    window = window_with([40.0], [50.0], [0.0], [1.0])
-    image = workspace.get(splat_region(window, AT_REST, region, CONFIG, workspace=workspace))[0]
-    where, _ = centre_of(image)
+    image = shown(window_with([40.0], [50.0], [0.0], [1.0]), AT_REST, region, workspace)[0]
+    where, mass = centre_of(image)
     np.testing.assert_allclose(where, (region.from_px @ (40.0, 50.0, 1.0))[:2], atol=0.02)
+    assert mass == pytest.approx(1.0, rel=1e-3)
+
+
+def test_polarity_is_the_sign_of_an_event(workspace):
+    region = Region(10.0, 20.0, 2.0, 32, 48)
+    on, off, both = (
+        shown(window_with([40.0] * len(p), [50.0] * len(p), [0.0] * len(p), p), AT_REST, region, workspace)
+        for p in ([1.0], [-1.0], [1.0, -1.0])
+    )
+    np.testing.assert_allclose(off, -on, atol=1e-6)
+    np.testing.assert_allclose(both, 0.0, atol=1e-6)
 
 
 def test_moving_events_meet_at_the_middle_of_the_window(workspace):
@@ -82,35 +100,46 @@ def test_moving_events_meet_at_the_middle_of_the_window(workspace):
     region, velocity = Region(10.0, 20.0, 2.0, 48, 64), np.array([3000.0, -1000.0])
     t = np.array([-4e-4, -2e-4, 0.0, 2e-4, 4e-4])
     moving = window_with(60.0 + velocity[0] * t, 50.0 + velocity[1] * t, t, np.ones(5))
-    together = workspace.get(splat_region(moving, velocity, region, CONFIG, workspace=workspace))[0].copy()
-    one = window_with([60.0], [50.0], [0.0], [1.0])
-    alone = workspace.get(splat_region(one, AT_REST, region, CONFIG, workspace=workspace))[0]
+    together = shown(moving, velocity, region, workspace)
+    alone = shown(window_with([60.0], [50.0], [0.0], [1.0]), velocity, region, workspace)
     np.testing.assert_allclose(together, 5.0 * alone, atol=1e-3)
 
 
 def test_an_image_starts_from_nothing_each_time(workspace):
     region, window = Region(10.0, 20.0, 2.0, 32, 48), window_with([40.0], [50.0], [0.0], [-1.0])
-    first = workspace.get(splat_region(window, AT_REST, region, CONFIG, workspace=workspace)).copy()
-    second = workspace.get(splat_region(window, AT_REST, region, CONFIG, workspace=workspace))
+    first = shown(window, AT_REST, region, workspace)
+    second = shown(window, AT_REST, region, workspace)
     np.testing.assert_array_equal(first, second)
     assert first.min() < -0.05
 
 
-def test_the_image_is_linear_in_both_lags(workspace):
-    """What the estimate of the lags stands on."""
+def test_an_image_for_each_pair_of_lags_and_linear_in_both(workspace):
     made = scene()
     velocity = made.truth["truth"]["velocity"][0]
+    pairs = ((0.0, 0.0), (1.0, 0.0), (0.0, 2.0), (0.5, 3.0))
     window, region = window_of(made), Region(90.0, 60.0, 2.3, 48, 64)
+    plain, on, off, both = shown(window, velocity, region, workspace, *pairs).astype(np.float64)
+    most = np.abs(plain).max()
+    assert np.abs(on - plain).max() > 0.1 * most
+    assert np.abs(off - plain).max() > 0.1 * most
+    np.testing.assert_allclose(both, plain + 0.5 * (on - plain) + 1.5 * (off - plain), atol=1e-4 * most)
 
-    def image(on, off):
-        shown = splat_region(window, velocity, region, CONFIG, workspace=workspace, lag_px=(on, off))
-        return workspace.get(shown)[0].astype(np.float64)
 
-    plain, on, off, both = image(0, 0), image(1, 0), image(0, 2), image(0.5, 3)
-    assert np.abs(on - plain).max() > 0.1 * np.abs(plain).max()
-    np.testing.assert_allclose(
-        both, plain + 0.5 * (on - plain) + 1.5 * (off - plain), atol=1e-3 * np.abs(plain).max()
-    )
+@pytest.mark.parametrize("direction", [0.0, 70.0, 200.0])
+def test_undoing_the_lag_moves_late_events_forward(direction, workspace):
+    """Events a lag behind along the motion, 1 - exp(-s / lag) of them by s: their centre is put right."""
+    heading = np.array([np.cos(np.deg2rad(direction)), np.sin(np.deg2rad(direction))])
+    region, lag_px = Region(10.0, 20.0, 2.0, 64, 64), 1.5
+    behind = -lag_px * np.log1p(-(np.arange(400) + 0.5) / 400)  # quantiles of the exponential
+    x, y = np.array([70.0, 80.0])[:, None] - heading[:, None] * behind
+    late = window_with(x, y, np.zeros(400), np.ones(400))
+    plain, sharp = shown(late, 1000.0 * heading, region, workspace, (0.0, 0.0), (lag_px, 0.0))
+    true = (region.from_px @ (70.0, 80.0, 1.0))[:2]
+    assert (true - centre_of(plain)[0]) @ heading == pytest.approx(lag_px / 2.0, abs=0.05)
+    np.testing.assert_allclose(centre_of(sharp)[0], true, atol=0.05)
+    # another polarity's lag does nothing to them
+    other = shown(late, 1000.0 * heading, region, workspace, (0.0, lag_px))[0]
+    np.testing.assert_allclose(other, plain, atol=1e-5)
 
 
 def test_dropping_far_events_changes_nothing_inside(workspace):
@@ -119,8 +148,6 @@ def test_dropping_far_events_changes_nothing_inside(workspace):
     window, region = window_of(made), Region(120.0, 90.0, 2.0, 32, 32)
     near = events_near(window, velocity, region)
     assert len(near) < 0.5 * len(window)
-    every, some = (
-        workspace.get(splat_region(w, velocity, region, CONFIG, workspace=workspace))[0].copy()
-        for w in (window, near)
-    )
-    np.testing.assert_allclose(some, every, atol=1e-3)
+    every, some = (shown(w, velocity, region, workspace)[0] for w in (window, near))
+    inside = slice(2, -2)  # the blur reaches two cells, and nothing is known of what lies outside
+    np.testing.assert_allclose(some[inside, inside], every[inside, inside], atol=1e-3)

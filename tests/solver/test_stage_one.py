@@ -12,7 +12,7 @@ CONFIG = StageOneConfig()
 ALL_LEVELS = (*coarse_levels(CONFIG), *fine_levels(CONFIG))
 
 TOLERANCE = 0.2
-"""Modules.  Samples of the neighbouring module count from half a module on; errors above a quarter begin to cost bits."""
+"""Modules.  From half a module on, a sample shows the neighbour; above a quarter, bits begin to be lost."""
 
 
 def rough_poses(seen, count, seed=1, amount=1.0):

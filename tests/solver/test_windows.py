@@ -1,6 +1,7 @@
 """Windows: times relative to the middle, and the same window however a stream is cut into chunks."""
 
 import gc
+import itertools
 import weakref
 
 import numpy as np
@@ -31,7 +32,7 @@ def events_at(times):
 def chunked(events, cuts):
     """The events in pieces, some of them empty."""
     bounds = [0, *sorted(min(c, len(events)) for c in cuts), len(events)]
-    return iter([events.cut(a, b) for a, b in zip(bounds[:-1], bounds[1:], strict=True)])
+    return iter([events.cut(a, b) for a, b in itertools.pairwise(bounds)])
 
 
 def assert_same(a, b):

@@ -1,0 +1,209 @@
+"""Stage two: the same modules as a dense least-squares solution, and the true ones."""
+
+import dense
+import numpy as np
+import pytest
+from scenes import scene
+
+from evqr.codespace import code_space
+from evqr.config import StageOneConfig, StageTwoConfig
+from evqr.stage_one import align, fine_levels
+from evqr.stage_two import NormalEquations, normal_equations, solve_modules
+
+ONE = StageOneConfig()
+CONFIG = StageTwoConfig()
+EXACT = StageTwoConfig(tolerance=1e-6, max_iterations=500)
+
+TOLERANCE = 0.01
+"""Relative to the strongest module.  The stencil ends two modules away; the entries left out are 1e-4."""
+
+
+def gain_of(seen, workspace):
+    """Gain at the true pose."""
+    at_truth = align(
+        seen.image,
+        seen.in_cells[None],
+        seen.version,
+        fine_levels(ONE),
+        ONE,
+        workspace=workspace,
+        max_iterations=0,
+    )
+    return at_truth.gain[0]
+
+
+def equations_of(seen, workspace, *, cfg=CONFIG, image=None, gain=None):
+    return normal_equations(
+        seen.image if image is None else image,
+        seen.in_cells,
+        gain_of(seen, workspace) if gain is None else gain,
+        seen.version,
+        ONE.sigma,
+        cfg,
+        workspace=workspace,
+    )
+
+
+def random_window(version, seed, workspace):
+    """An image without meaning, a pose that turns and tilts, a gain."""
+    rng = np.random.default_rng(seed)
+    image = rng.normal(0.0, 1.0, (1, 80, 96)).astype(np.float32)
+    turn, scale = rng.uniform(0.0, 6.0), 40.0 / (17 + 4 * version)
+    c, s = scale * np.cos(turn), scale * np.sin(turn)
+    half = (17 + 4 * version) / 2
+    pose = np.array([[c, -s, 48 - (c - s) * half], [s, c, 40 - (s + c) * half], [2e-4, -1e-4, 1.0]])
+    return workspace.put(image), image[0], pose, rng.normal(0.0, 1.0, 2)
+
+
+# ---- against the dense solution
+
+
+@pytest.mark.parametrize("version", [1, 2])
+@pytest.mark.parametrize("samples", [2, 3])
+def test_equals_the_dense_solution_for_any_image_pose_and_gain(version, samples, workspace):
+    cfg = StageTwoConfig(samples=samples, tolerance=1e-6, max_iterations=500)
+    space = code_space(version)
+    for seed in range(3):
+        on_device, image, pose, gain = random_window(version, seed, workspace)
+        equations = normal_equations(on_device, pose, gain, version, ONE.sigma, cfg, workspace=workspace)
+        found = solve_modules(equations, cfg, workspace=workspace).q
+        matrix, vector = dense.system(image, pose, gain, space.size, ONE.sigma, samples)
+        exact = dense.solve([(matrix, vector, 1.0)], space.known, space.values, cfg.damping)
+        np.testing.assert_allclose(found, exact, atol=TOLERANCE * max(1.0, np.abs(exact).max()))
+
+
+def test_the_right_hand_side_is_that_of_the_dense_system(workspace):
+    on_device, image, pose, gain = random_window(1, 7, workspace)
+    equations = normal_equations(on_device, pose, gain, 1, ONE.sigma, CONFIG, workspace=workspace)
+    matrix, vector = dense.system(image, pose, gain, 21, ONE.sigma, CONFIG.samples)
+    exact = (matrix.T @ vector).reshape(21, 21)
+    inner = slice(dense.QUIET, -dense.QUIET)
+    shown = equations.rhs[inner, inner]
+    np.testing.assert_allclose(shown, exact, atol=1e-4 * np.abs(exact).max())
+
+
+def test_the_stencil_is_a_row_of_the_dense_matrix(workspace):
+    on_device, image, pose, gain = random_window(1, 8, workspace)
+    equations = normal_equations(on_device, pose, gain, 1, ONE.sigma, CONFIG, workspace=workspace)
+    matrix, _ = dense.system(image, pose, gain, 21, ONE.sigma, CONFIG.samples)
+    row = (matrix.T @ matrix)[10 * 21 + 10].reshape(21, 21)
+    np.testing.assert_allclose(equations.stencil, row[8:13, 8:13], atol=1e-4 * row.max())
+    row[8:13, 8:13] = 0.0
+    assert np.abs(row).max() < 3e-4 * equations.stencil.max()
+
+
+def test_the_usual_accuracy_is_enough(workspace, see):
+    """Conjugate gradients stop early; what they leave is small against the modules."""
+    equations = equations_of(see(scene()), workspace)
+    usual, exact = (solve_modules(equations, cfg, workspace=workspace) for cfg in (CONFIG, EXACT))
+    np.testing.assert_allclose(usual.q, exact.q, atol=0.02)
+    assert 0 < usual.iterations < exact.iterations <= 200
+
+
+# ---- modules of a real window
+
+
+@pytest.mark.parametrize(
+    ("options", "wrong"),
+    [
+        ({"angle": 0.0, "direction": 0.0}, 0.0),
+        ({"angle": 45.0, "direction": 0.0}, 0.0),
+        ({"angle": 45.0, "direction": 45.0}, 0.0),
+        ({"angle": 20.0, "direction": 35.0, "invert": True}, 0.0),
+        ({"version": 4, "module_px": 4.0}, 0.0),
+        # lags are not undone here
+        ({"preset": "fast", "angle": 0.0, "direction": 0.0}, 0.05),
+    ],
+    ids=["0", "45", "45-along", "inverted", "4", "fast"],
+)
+def test_modules_are_right_at_the_true_pose(options, wrong, workspace, see):
+    """At 0 degrees edges along the motion give no event: those modules follow from their neighbours."""
+    seen = see(scene(**options))
+    q = solve_modules(equations_of(seen, workspace), CONFIG, workspace=workspace).q
+    unknown = ~code_space(seen.version).known
+    assert np.mean((q * seen.modules < 0.0)[unknown]) <= wrong
+    assert 0.5 < np.median(np.abs(q[unknown])) < 1.5
+
+
+def test_known_modules_keep_their_values(workspace, see):
+    seen = see(scene())
+    estimate = solve_modules(equations_of(seen, workspace), CONFIG, workspace=workspace)
+    space = code_space(2)
+    np.testing.assert_allclose(estimate.q[space.known], space.values[space.known], atol=1e-6)
+    assert estimate.q.shape == (25, 25)
+    assert estimate.q.dtype == np.float32
+
+
+def test_without_events_the_unknown_modules_are_grey(workspace, see):
+    seen = see(scene())
+    empty = workspace.put(np.zeros_like(workspace.get(seen.image)))
+    strong = normal_equations(
+        empty, seen.in_cells, np.array([1e-6, 0.0]), 2, ONE.sigma, CONFIG, workspace=workspace
+    )
+    estimate = solve_modules(
+        NormalEquations(2, 0 * strong.stencil, 0 * strong.rhs), CONFIG, workspace=workspace
+    )
+    np.testing.assert_allclose(estimate.q[~code_space(2).known], 0.0, atol=1e-4)
+
+
+# ---- invariances
+
+
+def test_contrast_does_not_matter(workspace, see):
+    """Twice the events with twice the gain are the same print."""
+    seen = see(scene())
+    gain = gain_of(seen, workspace)
+    plain = solve_modules(equations_of(seen, workspace, gain=gain), CONFIG, workspace=workspace).q
+    for factor in (1e-3, 0.3, 40.0):
+        image = workspace.put(np.float32(factor) * workspace.get(seen.image))
+        other = equations_of(seen, workspace, image=image, gain=factor * gain)
+        np.testing.assert_allclose(solve_modules(other, CONFIG, workspace=workspace).q, plain, atol=1e-3)
+
+
+def test_weights_do_not_matter_to_one_window(workspace, see):
+    equations = equations_of(see(scene()), workspace)
+    plain = solve_modules(equations, CONFIG, workspace=workspace).q
+    for weight in (1e-9, 1.0, 1e9):
+        scaled = solve_modules(equations.scaled(weight), CONFIG, workspace=workspace).q
+        np.testing.assert_allclose(scaled, plain, atol=1e-3)
+
+
+def test_polarity_and_gain_of_the_other_sign_are_the_same_print(workspace, see):
+    seen = see(scene())
+    gain = gain_of(seen, workspace)
+    negative = workspace.put(-workspace.get(seen.image))
+    one, two = (
+        solve_modules(equations, CONFIG, workspace=workspace).q
+        for equations in (
+            equations_of(seen, workspace, gain=gain),
+            equations_of(seen, workspace, image=negative, gain=-gain),
+        )
+    )
+    np.testing.assert_allclose(one, two, atol=1e-5)
+
+
+# ---- sums
+
+
+def test_equations_add(workspace):
+    parts = []
+    for seed in (1, 2):
+        on_device, _, pose, gain = random_window(1, seed, workspace)
+        parts.append(normal_equations(on_device, pose, gain, 1, ONE.sigma, CONFIG, workspace=workspace))
+    total = parts[0] + parts[1]
+    np.testing.assert_array_equal(total.rhs, parts[0].rhs + parts[1].rhs)
+    np.testing.assert_array_equal(total.stencil, parts[0].stencil + parts[1].stencil)
+    assert total.version == 1
+
+
+def test_a_later_window_leaves_earlier_equations_alone(workspace, see):
+    """Equations own their numbers: buffers are used again."""
+    seen, other = see(scene()), see(scene(preset="fast"))
+    first = equations_of(seen, workspace)
+    rhs, stencil = first.rhs.copy(), first.stencil.copy()
+    estimate = solve_modules(first, CONFIG, workspace=workspace).q
+    kept = estimate.copy()
+    solve_modules(equations_of(other, workspace), CONFIG, workspace=workspace)
+    np.testing.assert_array_equal(first.rhs, rhs)
+    np.testing.assert_array_equal(first.stencil, stencil)
+    np.testing.assert_array_equal(estimate, kept)

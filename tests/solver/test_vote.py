@@ -1,0 +1,175 @@
+"""Votes: what several windows of one code say together."""
+
+import dense
+import numpy as np
+import pytest
+from scenes import middle_us, scene
+
+from evqr.codespace import code_space
+from evqr.config import StageOneConfig, StageTwoConfig, Vote
+from evqr.stage_one import align, fine_levels
+from evqr.stage_two import normal_equations, solve_modules
+from evqr.vote import Tally
+
+ONE = StageOneConfig()
+CONFIG = StageTwoConfig()
+EXACT = StageTwoConfig(tolerance=1e-6, max_iterations=500)
+UNKNOWN = ~code_space(2).known
+
+
+@pytest.fixture(scope="module")
+def windows(workspace, see):
+    """Three windows one after another of one code: what is seen, and the gain at the true pose."""
+    made = scene()
+    found = []
+    for late in (-500, 0, 500):
+        seen = see(made, middle=middle_us(made) + late)
+        at_truth = align(
+            seen.image, seen.in_cells[None], 2, fine_levels(ONE), ONE, workspace=workspace, max_iterations=0
+        )
+        found.append((seen, at_truth.gain[0]))
+    return found
+
+
+def equations(seen, gain, workspace, *, noise=0.0, rng=None):
+    """Equations of a window with white noise on its image."""
+    image = workspace.get(seen.image)
+    if noise:
+        image = image + rng.normal(0.0, noise, image.shape).astype(np.float32)
+    return normal_equations(
+        workspace.put(image), seen.in_cells, gain, 2, ONE.sigma, CONFIG, workspace=workspace
+    )
+
+
+def wrong(q, seen):
+    """Share of the unknown modules with the wrong sign."""
+    return float(np.mean((q * seen.modules <= 0.0)[UNKNOWN]))
+
+
+# ---- information
+
+
+def test_information_of_two_windows_is_the_dense_solution_of_both(windows, workspace):
+    noise = (0.5, 2.0)
+    tally = Tally(Vote.INFORMATION, EXACT, workspace=workspace)
+    systems = []
+    for (seen, gain), variance in zip(windows[:2], noise, strict=True):
+        estimate = tally.add(equations(seen, gain, workspace), variance)
+        image = workspace.get(seen.image)[0]
+        systems.append(
+            (*dense.system(image, seen.in_cells, gain, 25, ONE.sigma, CONFIG.samples), 1.0 / variance)
+        )
+    space = code_space(2)
+    exact = dense.solve(systems, space.known, space.values, EXACT.damping)
+    np.testing.assert_allclose(estimate.q, exact, atol=0.015)  # the tolerance of test_stage_two.py
+    assert tally.windows == 2
+
+
+def test_a_window_counts_by_one_over_its_noise(windows, workspace):
+    """A worthless window with a huge variance changes nothing; with a small one it spoils all."""
+    (seen, gain), (other, other_gain) = windows[0], windows[1]
+    good, bad = equations(seen, gain, workspace), equations(other, -other_gain, workspace)
+    alone = Tally(Vote.INFORMATION, CONFIG, workspace=workspace).add(good, 1.0).q
+    for variance, spoiled in ((1e9, False), (1e-9, True)):
+        tally = Tally(Vote.INFORMATION, CONFIG, workspace=workspace)
+        tally.add(good, 1.0)
+        q = tally.add(bad, variance).q
+        assert (np.abs(q - alone).max() > 0.5) == spoiled
+
+
+# ---- mode and soft
+
+
+def test_mode_is_the_majority_of_signs(windows, workspace):
+    seen, gain = windows[0]
+    right = equations(seen, gain, workspace)
+    wrong_sign = equations(seen, -gain, workspace)
+    alone = [np.sign(solve_modules(e, CONFIG, workspace=workspace).q) for e in (right, wrong_sign)]
+    tally = Tally(Vote.MODE, CONFIG, workspace=workspace)
+    for window in (right, wrong_sign, right):
+        estimate = tally.add(window, 1.0)
+    np.testing.assert_array_equal(np.sign(estimate.q), alone[0])
+    np.testing.assert_allclose(estimate.q[UNKNOWN], ((2 * alone[0] + alone[1]) / 3)[UNKNOWN], atol=1e-6)
+
+
+def test_mode_does_not_care_how_sure_a_window_is(windows, workspace):
+    seen, gain = windows[0]
+    said = []
+    for variance in (1.0, 1e-6):
+        tally = Tally(Vote.MODE, CONFIG, workspace=workspace)
+        tally.add(equations(*windows[1], workspace), 1.0)
+        said.append(tally.add(equations(seen, -gain, workspace), variance).q)
+    np.testing.assert_array_equal(*said)
+
+
+def test_soft_weighs_windows_by_their_information(windows, workspace):
+    good = equations(*windows[0], workspace)
+    seen, gain = windows[1]
+    bad = equations(seen, -gain, workspace)
+    alone = solve_modules(good, CONFIG, workspace=workspace).q
+    for variance, follows in ((1e6, True), (1e-6, False)):
+        tally = Tally(Vote.SOFT, CONFIG, workspace=workspace)
+        tally.add(good, 1.0)
+        q = tally.add(bad, variance).q
+        agree = np.mean(np.sign(q[UNKNOWN]) == np.sign(alone[UNKNOWN]))
+        assert (agree > 0.99) == follows
+
+
+def test_soft_of_equal_windows_is_each_of_them(windows, workspace):
+    one = equations(*windows[0], workspace)
+    alone = solve_modules(one, CONFIG, workspace=workspace).q
+    tally = Tally(Vote.SOFT, CONFIG, workspace=workspace)
+    for _ in range(3):
+        q = tally.add(one, 2.0).q
+    np.testing.assert_allclose(q / np.abs(q).max(), alone / np.abs(alone).max(), atol=1e-5)
+
+
+# ---- all of them
+
+
+@pytest.mark.parametrize("vote", Vote)
+def test_one_clean_window_is_enough(vote, windows, workspace):
+    seen, gain = windows[0]
+    tally = Tally(vote, CONFIG, workspace=workspace)
+    estimate = tally.add(equations(seen, gain, workspace), 1.0)
+    assert wrong(estimate.q, seen) == 0.0
+    assert estimate.q.shape == (25, 25)
+    assert estimate.q.dtype == np.float32
+    assert tally.windows == 1
+
+
+@pytest.mark.parametrize("vote", Vote)
+def test_many_noisy_windows_beat_one(vote, windows, workspace):
+    """Noise is set such that one window has about a tenth of its modules wrong."""
+    rng = np.random.default_rng(4)
+    tally = Tally(vote, CONFIG, workspace=workspace)
+    share = []
+    for k in range(15):
+        seen, gain = windows[k % 3]
+        share.append(wrong(tally.add(equations(seen, gain, workspace, noise=14.0, rng=rng), 1.0).q, seen))
+    assert 0.03 < share[0] < 0.3
+    assert share[-1] < 0.4 * share[0]
+
+
+def test_information_is_at_least_as_good_as_the_other_votes(windows, workspace):
+    share = dict.fromkeys(Vote, 0.0)
+    for vote in Vote:
+        rng = np.random.default_rng(9)
+        for _ in range(4):
+            tally = Tally(vote, CONFIG, workspace=workspace)
+            for seen, gain in windows:
+                estimate = tally.add(equations(seen, gain, workspace, noise=14.0, rng=rng), 1.0)
+            share[vote] += wrong(estimate.q, seen)
+    assert share[Vote.INFORMATION] <= min(share.values()) + 0.01
+
+
+@pytest.mark.parametrize("vote", Vote)
+def test_the_strength_of_an_estimate_says_where_it_is_right(vote, windows, workspace):
+    """What the decoder erases by: wrong modules are weaker than right ones."""
+    rng = np.random.default_rng(2)
+    tally = Tally(vote, CONFIG, workspace=workspace)
+    for seen, gain in windows:
+        q = tally.add(equations(seen, gain, workspace, noise=14.0, rng=rng), 1.0).q
+    off = (q * seen.modules <= 0.0) & UNKNOWN
+    assert off.any()
+    assert np.abs(q[off]).mean() < 0.8 * np.abs(q[UNKNOWN & ~off]).mean()
