@@ -56,8 +56,8 @@ class FinderConfig:
     quick_module_px      module sizes of the first, quick look [px]
     quick_peaks          peaks that it keeps
     quick_score          coarse score that a candidate of the quick look needs for a closer look
-    quick_floor, floor   energy under a template, relative to that over cells of rms strength, below which a place is
-                         quiet: in the quick look and in the thorough one
+    quick_floor, floor   energy under a template, relative to that over cells of rms strength, below which a
+                         place is quiet: in the quick look and in the thorough one
     min_response         normalised response of a finder pattern that counts, 0 to 1
     max_peaks            peaks kept, the best over all scales
     max_hypotheses       codes handed to stage one, the best by response

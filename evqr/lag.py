@@ -1,12 +1,13 @@
 """How far the pixels lag: one time constant for ON and one for OFF events.
 
-A photoreceptor is a first-order low-pass, tau dY/dt + Y = X.  Seen from the moving code that smears the image along the motion over
-lag = |v| tau px, and one directional derivative undoes it (`evqr_kernels`, lag_operator).  OFF events lag about twice as much as ON
-events: a darker pixel is slower.  One deposit of the events gives the image for every pair of lags; the pair is taken whose image
-agrees best with the known modules.
+A photoreceptor is a first-order low-pass, tau dY/dt + Y = X.  Seen from the moving code that smears the
+image along the motion over lag = |v| tau px, and one directional derivative undoes it (`evqr_kernels`,
+lag_operator).  OFF events lag about twice as much as ON events: a darker pixel is slower.  One deposit of
+the events gives the image for every pair of lags; the pair is taken whose image agrees best with the known
+modules.
 
-The image must be blurred by about a quarter of a module, as regions are, or the comparison favours small lags: sharpening also
-sharpens noise.
+The image must be blurred by about a quarter of a module, as regions are, or the comparison favours small
+lags: sharpening also sharpens noise.
 """
 
 from __future__ import annotations
@@ -57,7 +58,9 @@ def estimate_lag(
     def try_pairs(pairs: list[tuple[float, float]], start: list[NDArray[np.float64]]) -> Alignment:
         images = sharpen(cells, velocity, region, pairs, workspace=workspace)
         idx = np.arange(len(pairs), dtype=np.int32)
-        return align(images, np.stack(start), version, fine_levels(cfg), cfg, workspace=workspace, image_idx=idx)
+        return align(
+            images, np.stack(start), version, fine_levels(cfg), cfg, workspace=workspace, image_idx=idx
+        )
 
     module = region.cell * cfg.cells_a_module
     first = [(lag * module, OFF_OVER_ON * lag * module) for lag in FIRST_LAGS]
@@ -70,7 +73,9 @@ def estimate_lag(
     tried = try_pairs(first, start)
     best = int(tried.score.argmax())
     base_on, base_off = first[best] if best else (0.1 * module, 0.16 * module)
-    second = [first[best]] + [(base_on * f, base_off * g) for f in FACTORS for g in FACTORS if (f, g) != (1.0, 1.0)]
+    second = [first[best]] + [
+        (base_on * f, base_off * g) for f in FACTORS for g in FACTORS if (f, g) != (1.0, 1.0)
+    ]
     tried = try_pairs(second, [tried.pose[best]] * len(second))
     best = int(tried.score.argmax())
     pick = slice(best, best + 1)

@@ -4,8 +4,8 @@ A module is a box blurred by sigma modules, so the luminance over code coordinat
 
     L(u, v) = 1 + sum_ij (q_ij - 1) b(v - i) b(u - j),      b(s) = Phi(s / sigma) - Phi((s - 1) / sigma)
 
-(everything outside the symbol is its quiet zone: light, q = 1).  The bilinear model of the paper's equation 5 has second
-derivatives that vanish almost everywhere; Gauss-Newton on the pose needs them.
+(everything outside the symbol is its quiet zone: light, q = 1).  The bilinear model of the paper's equation
+5 has second derivatives that vanish almost everywhere; Gauss-Newton on the pose needs them.
 """
 
 from __future__ import annotations
@@ -57,7 +57,7 @@ class PoseTable:
     Attributes
     ----------
     points : (S, 2) float32        code coordinates [modules]
-    table : (S, MOMENTS) float32   model functions at the points; u, v in them centred and divided by half the size
+    table : (S, MOMENTS) float32   model functions at the points; their u, v centred, divided by half the size
     gram : (MOMENTS, MOMENTS)      table^T table
     centre, scale                  u_centred = (u - centre) / scale [modules]
     """

@@ -1,46 +1,30 @@
-"""Recordings to readings: search for codes, follow each one, read it, go on.
-
-One loop over event time: the next thing to do, a search or the next window of a code that is followed, is always the earliest one, so
-a stream of any length is read in bounded memory.
-"""
+"""Recordings to readings: every code that passes, or windows one by one."""
 
 from __future__ import annotations
 
-import heapq
 import itertools
 import time
-from collections.abc import Callable, Iterator
-from concurrent.futures import ThreadPoolExecutor
+from collections import deque
+from collections.abc import Iterator
+from concurrent.futures import Future, ThreadPoolExecutor
 from contextlib import ExitStack
-from dataclasses import replace
+from queue import SimpleQueue
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from evqr.decode import Decoded, decode_grid
-from evqr.initial.motion import Motion
+from evqr.passes import Passes, Progress
 from evqr.recording import Recording, open_recording
 from evqr.solver import Sighting, Solver, StageClock
 from evqr.stage_two import solve_modules
-from evqr.track import Track
-from evqr.types import CodeReading, ReadResult, ReadStatus, WindowReading
-from evqr.windows import EventBuffer, Window
+from evqr.types import ReadResult, ReadStatus, WindowReading
+from evqr.windows import EventBuffer
 
 if TYPE_CHECKING:
     from evqr.config import ReadConfig
     from evqr.recording import TimeUnit
-
-Progress = Callable[[int, "int | None"], None]
-
-SEARCH_UNKNOWN_US = 2_000
-"""Time between two searches while the speed is unknown [us]."""
-
-OUTLINE_MARGIN = 4.0
-"""Modules around a followed code whose events a search does not see: its quiet zone."""
-
-SAME_PLACE = 3.0
-"""Modules between where a lost code must be by now and where one with the same text is found, for them to be one."""
 
 
 def read_codes(
@@ -79,9 +63,8 @@ def read_codes(
     started = time.perf_counter()
     with ExitStack() as stack:
         recording, path = _open(source, sensor, time_unit, stack)
-        solver = Solver(config, backend=backend, device=device)
-        events = EventBuffer(recording.chunks())
-        passes = _Passes(solver, events, recording, progress)
+        solvers, pool = _solvers(threads, stack, config=config, backend=backend, device=device)
+        passes = Passes(solvers, EventBuffer(recording.chunks()), recording, pool=pool, progress=progress)
         passes.run()
         seen = passes.seen()
     compute = {**passes.clock.ms, "total": 1e3 * (time.perf_counter() - started)}
@@ -99,169 +82,6 @@ def _open(
     return recording, recording.path
 
 
-class _Passes:
-    """All codes of one recording."""
-
-    def __init__(
-        self, solver: Solver, events: EventBuffer, recording: Recording, progress: Progress | None
-    ) -> None:
-        self.solver = solver
-        self.events = events
-        self.readings: list[CodeReading] = []
-        self.clock = StageClock()
-        self._recording = recording
-        self._progress = progress
-        self._tracks: list[Track] = []
-        self._unread: list[Track] = []
-        self._read: list[tuple[Track, int]] = []
-        self._speed: float | None = None
-        self._lag_us: tuple[float, float] | None = None
-        self._windows = 0
-        self._searches = 0
-        self._with_motion = 0
-        self._reason = "no events"
-
-    def run(self) -> None:
-        """Work through the recording in order of event time."""
-        start = self.events.first_us
-        if start is None:
-            return
-        order = itertools.count()
-        queue: list[tuple[int, int, Track | None]] = [(start, next(order), None)]
-        while queue:
-            at_us, _, track = heapq.heappop(queue)
-            self.events.forget(at_us)
-            if self._progress is not None:
-                last = self._recording.t_last_us
-                self._progress(at_us - start, None if last is None else last - start)
-            most = self.solver.config.max_windows
-            if most is not None and self._windows >= most:
-                break
-            if track is None:
-                if not self.events.reaches(at_us + 1):
-                    continue
-                after = self._search(at_us)
-                for new in self._tracks:
-                    if all(new is not entry[2] for entry in queue):
-                        heapq.heappush(queue, (new.next_window(self.solver)[0], next(order), new))
-                heapq.heappush(queue, (after, next(order), None))
-            else:
-                self._follow(track)
-                if track in self._tracks:
-                    heapq.heappush(queue, (track.next_window(self.solver)[0], next(order), track))
-        for track in list(self._tracks):
-            self._finish(track)
-
-    def _search(self, at_us: int) -> int:
-        """Search once, and say when to search again [us]."""
-        solver, cfg = self.solver, self.solver.config
-        solver.clock = StageClock()
-        self._searches += 1
-        motion = solver.motion_at(self.events, at_us, speed=self._speed)
-        if motion is None and self._speed is not None:
-            motion = solver.motion_at(self.events, at_us)
-        if motion is None:
-            self._note(solver.clock)
-            self._reason = "nothing moves" if not self._with_motion else self._reason
-            return at_us + SEARCH_UNKNOWN_US
-        self._with_motion += 1
-        length = solver.window_us(motion.speed)
-        after = at_us + max(length, round(cfg.search_px / motion.speed * 1e6))
-        if not self.events.reaches(at_us + length):
-            self._note(solver.clock)
-            return after
-        window = self._outside_tracks(self.events.window(at_us, at_us + length))
-        self._windows += 1
-        sighting = solver.look(window, motion, lag_us=self._lag_us)
-        if isinstance(sighting, str):
-            self._reason = sighting
-            self._note(solver.clock)
-            return after
-        self._speed = motion.speed
-        if any(sighting.lag_us):
-            self._lag_us = sighting.lag_us
-        track = Track(sighting, at_us, at_us + length, solver)
-        self._tracks.append(track)
-        self._settle(track)
-        return after
-
-    def _outside_tracks(self, window: Window) -> Window:
-        """A window without the events of the codes that are followed already."""
-        for track in self._tracks:
-            seen = track.seen
-            to_code = np.linalg.inv(seen.pose_at(window.middle_us))
-            # bring each event to the middle of the window, then into code coordinates
-            x = window.x - window.t * np.float32(seen.velocity[0])
-            y = window.y - window.t * np.float32(seen.velocity[1])
-            u, v, z = (row[0] * x + row[1] * y + row[2] for row in to_code)
-            half = seen.size / 2.0
-            reach = half + OUTLINE_MARGIN
-            window = window.keep((np.abs(u / z - half) > reach) | (np.abs(v / z - half) > reach))
-        return window
-
-    def _follow(self, track: Track) -> None:
-        start, end = track.next_window(self.solver)
-        if not self.events.reaches(end):
-            self._finish(track)
-            return
-        self._windows += 1
-        was_read = track.reading is not None
-        track.follow(self.events, start, end, self.solver)
-        self._speed = float(np.hypot(*track.seen.velocity))
-        if not was_read:
-            self._settle(track)
-        if track.gone:
-            self._finish(track)
-
-    def _settle(self, track: Track) -> None:
-        """Join a code that was just read with an earlier sight of the same one."""
-        if track.reading is None:
-            return
-        for k, (earlier, index) in enumerate(self._read):
-            if earlier.reading is not None and earlier.reading.text == track.reading.text:
-                middle = earlier.seen.size / 2.0
-                x, y, z = np.linalg.inv(track.seen.pose) @ (
-                    earlier.seen.pose_at(track.seen.time_us) @ (middle, middle, 1.0)
-                )
-                if np.hypot(x / z - middle, y / z - middle) < SAME_PLACE:
-                    self._read[k] = (track, index)
-                    return
-        self._read.append((track, len(self.readings)))
-        self.readings.append(track.reading)
-
-    def _finish(self, track: Track) -> None:
-        self._tracks.remove(track)
-        self._note(track.clock)
-        if track.reading is None:
-            self._unread.append(track)
-            return
-        for known, index in self._read:
-            if known is track:
-                self.readings[index] = replace(self.readings[index], t_last_us=track.last_us)
-
-    def _note(self, clock: StageClock) -> None:
-        for stage, ms in clock.ms.items():
-            self.clock.ms[stage] = self.clock.ms.get(stage, 0.0) + ms
-
-    def seen(self) -> dict[str, Any]:
-        """What was seen, for a report."""
-        first = self.events.first_us or 0
-        return {
-            "events": self.events.seen,
-            "duration_us": self.events.last_us - first if self.events.seen else 0,
-            "windows": self._windows,
-            "searches": self._searches,
-            "codes_not_decoded": len(self._unread),
-        }
-
-    def why_nothing(self) -> str:
-        """Why nothing was read, in words."""
-        if self._unread:
-            best = max(self._unread, key=lambda track: track.seen.score)
-            return f"a code was followed over {best.last_us - best.first_us} us but does not decode: {best.why_not}"
-        return self._reason
-
-
 def read_windows(
     source: Any,
     *,
@@ -275,8 +95,9 @@ def read_windows(
 ) -> Iterator[WindowReading]:
     """Read windows spread evenly over a recording, each alone and from cold.
 
-    Parameters are those of `read_codes`.  Windows have the length that the configuration sets, or one that suits the motion at
-    their time; ``config.max_windows`` is their number, without it they follow one another.
+    Parameters are those of `read_codes`.  Windows have the length that the configuration sets, or one that
+    suits the motion at their time; ``config.max_windows`` is their number, without it they follow one
+    another.
 
     Yields
     ------
@@ -284,56 +105,93 @@ def read_windows(
     """
     with ExitStack() as stack:
         recording, _ = _open(source, sensor, time_unit, stack)
-        count = max(threads or 1, 1)
-        solvers = [Solver(config, backend=backend, device=device) for _ in range(count)]
+        solvers, pool = _solvers(threads, stack, config=config, backend=backend, device=device)
         events = EventBuffer(recording.chunks())
-        cut = _cut_windows(events, recording, solvers[0], progress)
-        if count == 1:
-            for index, (window, motion) in enumerate(cut):
-                yield _read_alone(index, window, motion, solvers[0])
+        starts = _starts(events, recording, solvers[0])
+        if pool is None:
+            for index, start_us, length in starts:
+                events.forget(start_us)
+                yield _read_alone(index, start_us, length, events, solvers[0])
+                _tell(progress, start_us, events, recording)
             return
-        pool = stack.enter_context(ThreadPoolExecutor(count))
-        jobs = ((index, window, motion) for index, (window, motion) in enumerate(cut))
-        while batch := list(itertools.islice(jobs, count)):
-            yield from pool.map(_read_alone, *zip(*batch, strict=True), solvers[: len(batch)])
+        idle: SimpleQueue[Solver] = SimpleQueue()
+        for solver in solvers:
+            idle.put(solver)
+
+        def job(index: int, start_us: int, length: int | None) -> WindowReading:
+            solver = idle.get()
+            try:
+                return _read_alone(index, start_us, length, events, solver)
+            finally:
+                idle.put(solver)
+
+        running: deque[tuple[int, Future[WindowReading]]] = deque()
+        for index, start_us, length in starts:
+            running.append((start_us, pool.submit(job, index, start_us, length)))
+            if len(running) > 2 * len(solvers):
+                events.forget(running[0][0])
+                yield running.popleft()[1].result()
+            _tell(progress, start_us, events, recording)
+        while running:
+            yield running.popleft()[1].result()
 
 
-def _cut_windows(
-    events: EventBuffer, recording: Recording, solver: Solver, progress: Progress | None
-) -> Iterator[tuple[Window, Motion | None]]:
+def _solvers(
+    threads: int | None, stack: ExitStack, *, config: ReadConfig | None, backend: str, device: str
+) -> tuple[list[Solver], ThreadPoolExecutor | None]:
+    """One solver a thread, and the threads where there is more than one."""
+    count = 1 if threads is None else threads
+    if count < 1:
+        raise ValueError(f"threads must be at least 1, got {threads}")
+    solvers = [Solver(config, backend=backend, device=device) for _ in range(count)]
+    return solvers, stack.enter_context(ThreadPoolExecutor(count)) if count > 1 else None
+
+
+def _tell(progress: Progress | None, now_us: int, events: EventBuffer, recording: Recording) -> None:
+    if progress is not None and events.first_us is not None:
+        last = recording.t_last_us
+        progress(now_us - events.first_us, None if last is None else last - events.first_us)
+
+
+def _starts(
+    events: EventBuffer, recording: Recording, solver: Solver
+) -> Iterator[tuple[int, int, int | None]]:
+    """Index, start and length of the windows [us]; no length where each window finds its own."""
     cfg = solver.config
     first = events.first_us
     if first is None:
         return
-    slot: float | None = None
     if cfg.max_windows is not None:
         last = recording.t_last_us
         if last is None:
-            events.reaches(float("inf"))
-            last = events.last_us
+            last = max(int(chunk.t[-1]) for chunk in recording.chunks() if len(chunk))
         slot = (last + 1 - first) / cfg.max_windows
-    start, index = first, 0
-    while events.reaches(start + 1) and (cfg.max_windows is None or index < cfg.max_windows):
-        events.forget(start)
-        solver.clock = StageClock()
-        motion = None
+        for index in range(cfg.max_windows):
+            yield index, round(first + index * slot), cfg.window_us
+        return
+    start_us = first
+    for index in itertools.count():
+        if not events.reaches(start_us + 1):
+            return
         length = cfg.window_us
         if length is None:
-            motion = solver.motion_at(events, start)
+            motion = solver.motion_at(events, start_us)
             length = solver.window_us(motion.speed) if motion is not None else cfg.motion.probe_us
-        window = events.window(start, start + length)
-        yield window, motion
-        if progress is not None:
-            last = recording.t_last_us
-            progress(start - first, None if last is None else last - first)
-        index += 1
-        start = round(first + index * slot) if slot is not None else start + length
+        yield index, start_us, length
+        start_us += length
 
 
-def _read_alone(index: int, window: Window, motion: Motion | None, solver: Solver) -> WindowReading:
+def _read_alone(
+    index: int, start_us: int, length: int | None, events: EventBuffer, solver: Solver
+) -> WindowReading:
     """Read one window from cold."""
     solver.clock = StageClock()
     status, reason = ReadStatus.NO_CODE, ""
+    motion = None
+    if length is None:
+        motion = solver.motion_at(events, start_us)
+        length = solver.window_us(motion.speed) if motion is not None else solver.config.motion.probe_us
+    window = events.window(start_us, start_us + length)
     if motion is None:
         motion = solver.motion_in(window)
     sighting = "nothing moves, or too few events" if motion is None else solver.look(window, motion)
@@ -370,7 +228,10 @@ def _read_alone(index: int, window: Window, motion: Motion | None, solver: Solve
 
 
 def _affine(sighting: Sighting) -> NDArray[np.float64]:
-    """W of the paper, (2, 3): px to modules with integers at module centres; perspective is linearised at the code's centre."""
+    """Give W of the paper, (2, 3): px to modules, integers at their centres.
+
+    Perspective is linearised at the code's centre.
+    """
     c = sighting.size / 2.0
     x, y, z = sighting.pose @ (c, c, 1.0)
     jacobian = (sighting.pose[:2, :2] - np.outer((x / z, y / z), sighting.pose[2, :2])) / z

@@ -61,17 +61,19 @@ def module_px(pose: NDArray[np.float64], size: int) -> float:
     return math.sqrt(abs(float(np.linalg.det(jacobian))))
 
 
-def region_around(pose: NDArray[np.float64], size: int, cfg: StageOneConfig, *, margin_px: float = 0.0) -> Region:
-    """The region that holds a code and its quiet zone."""
+def region_around(
+    pose: NDArray[np.float64], size: int, cfg: StageOneConfig, *, margin_px: float = 0.0
+) -> Region:
+    """Give the region that holds a code and its quiet zone."""
     corners = outline(pose, size, QUIET_MODULES + 1.0)
     cell = module_px(pose, size) / cfg.cells_a_module
     low, high = corners.min(axis=0) - margin_px, corners.max(axis=0) + margin_px
-    width, height = (math.ceil((h - l) / cell / GRAIN) * GRAIN for l, h in zip(low, high, strict=True))
+    width, height = (math.ceil(extent / cell / GRAIN) * GRAIN for extent in high - low)
     return Region(float(low[0]), float(low[1]), cell, height, width)
 
 
 def events_near(window: Window, velocity: NDArray[np.float64], region: Region) -> Window:
-    """The events of a window that can reach a region: all others are dropped once, not by each splat."""
+    """Keep the events of a window that can reach a region: the others are dropped once for all."""
     reach = 0.5 * window.seconds * np.abs(velocity) + 3.0 * region.cell
     return window.keep(
         (window.x > region.x - reach[0])
@@ -81,10 +83,8 @@ def events_near(window: Window, velocity: NDArray[np.float64], region: Region) -
     )
 
 
-def deposit(
-    window: Window, velocity: NDArray[np.float64], region: Region, *, workspace: Workspace
-) -> Any:
-    """Bring a window's events, transported to its middle, onto a region's cells: (1, 2, height, width), ON and OFF.
+def deposit(window: Window, velocity: NDArray[np.float64], region: Region, *, workspace: Workspace) -> Any:
+    """Bring a window's events, transported to its middle, onto a region's cells (1, 2, height, width).
 
     The buffer is used again by the next deposit on a region of this size.
     """

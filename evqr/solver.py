@@ -30,16 +30,18 @@ from evqr.workspace import Workspace
 from evqr_kernels.backend import get_backend
 
 GOOD_SCORE = 0.8
-"""Correlation with the known modules that ends the search for a better candidate: one module off scores 0.56 to 0.67."""
+"""Correlation with the known modules that ends the search for a better candidate: one module off scores 0.56
+to 0.67."""
 
-SHARP_SCORE = 0.93
+SHARP_SCORE = 0.96
 """Correlation with the known modules above which pixels do not lag enough to look for it."""
 
 SURE_TRAVEL_PX = 0.6
 """Travel in a window below which the direction of the motion is not sure [px]."""
 
 SURE_LOOKS = ((0.0, True), (0.0, False))
-"""Looks for a code one after another until one is found: turn of the direction [rad], and whether the look is quick."""
+"""Looks for a code one after another until one is found: turn of the direction [rad], and whether the look
+is quick."""
 
 UNSURE_LOOKS = tuple((turn, False) for turn in np.deg2rad((0.0, 45.0, -45.0, 90.0)))
 """Looks where the direction is not sure; the opposite directions look like an inverted code."""
@@ -64,7 +66,7 @@ class StageClock:
             self.ms[stage] = self.ms.get(stage, 0.0) + 1e3 * (time.perf_counter() - start)
 
     def total(self) -> dict[str, float]:
-        """The stages and their sum, "total"."""
+        """Give the stages and their sum, "total"."""
         return {**self.ms, "total": sum(self.ms.values())}
 
 
@@ -109,7 +111,7 @@ class Sighting:
         return np.array([x / z, y / z])
 
     def pose_at(self, time_us: float) -> NDArray[np.float64]:
-        """The pose at another time, with the velocity held."""
+        """Give the pose at another time, with the velocity held."""
         ahead = np.eye(3)
         ahead[:2, 2] = self.velocity * (time_us - self.time_us) * 1e-6
         return ahead @ self.pose
@@ -117,9 +119,7 @@ class Sighting:
 
 @dataclass(frozen=True, eq=False)
 class _Closer:
-    """A candidate, refined: its region, the events near it, their image while it is still there, the alignment, and the
-    iterations of all that were tried.
-    """
+    """A candidate, refined; ``image`` is None once its buffer is used again."""
 
     version: int
     region: Region
@@ -169,7 +169,7 @@ class Solver:
         self.clock = StageClock()
 
     def motion_at(self, events: EventBuffer, start_us: int, *, speed: float | None = None) -> Motion | None:
-        """Motion from cold at a time of a stream, over a stretch that suits the speed [px/s] if that is known."""
+        """Estimate the motion at a time of a stream from cold; ``speed`` is a guess [px/s]."""
         with self.clock("motion"):
             return find_motion(events, start_us, self.config.motion, workspace=self.workspace, speed=speed)
 
@@ -179,8 +179,10 @@ class Solver:
             return estimate_motion(window, self.config.motion, workspace=self.workspace)
 
     def window_us(self, speed: float) -> int:
-        """Length of the windows for a speed [px/s]: fixed by the configuration, or by the travel that it asks for [us]."""
-        return self.config.window_us or window_length_us(speed, self.config.travel_px, self.config.motion)
+        """Give the length of windows for a speed [px/s]: fixed, or as their travel asks for [us]."""
+        if self.config.window_us is not None:
+            return self.config.window_us
+        return window_length_us(speed, self.config.travel_px, self.config.motion)
 
     def look(
         self, window: Window, motion: Motion, *, lag_us: tuple[float, float] | None = None
@@ -189,7 +191,7 @@ class Solver:
 
         Parameters
         ----------
-        lag_us   time constants known from earlier windows; None: estimated here, unless the configuration sets them
+        lag_us   time constants known from earlier windows; None: estimated, if not configured
 
         Returns
         -------
@@ -245,7 +247,9 @@ class Solver:
                 best = found
             if best.score >= GOOD_SCORE:
                 break
-        return best or f"the best of {len(hypotheses)} candidates agrees too little with a code: {closest:.2f}"
+        return (
+            best or f"the best of {len(hypotheses)} candidates agrees too little with a code: {closest:.2f}"
+        )
 
     def _look_closer(
         self,
@@ -277,7 +281,11 @@ class Solver:
         )
 
     def _settle(
-        self, closer: _Closer, velocity: NDArray[np.float64], lag_us: tuple[float, float] | None, iterations: int
+        self,
+        closer: _Closer,
+        velocity: NDArray[np.float64],
+        lag_us: tuple[float, float] | None,
+        iterations: int,
     ) -> Sighting:
         """Estimate what is still unknown of a code that was found, and measure it."""
         found = closer.found
@@ -285,7 +293,14 @@ class Solver:
             lag_us = (0.0, 0.0)
         if lag_us is not None and closer.image is not None:
             return self._sighting(
-                closer.events, closer.image, found, velocity, closer.region, closer.version, lag_us, iterations
+                closer.events,
+                closer.image,
+                found,
+                velocity,
+                closer.region,
+                closer.version,
+                lag_us,
+                iterations,
             )
         if lag_us is None:
             with self.clock("lag"):
@@ -305,9 +320,13 @@ class Solver:
         )
 
     def _image(
-        self, window: Window, velocity: NDArray[np.float64], region: Region, lag_us: tuple[float, float] | None
+        self,
+        window: Window,
+        velocity: NDArray[np.float64],
+        region: Region,
+        lag_us: tuple[float, float] | None,
     ) -> Any:
-        """The image of a region, with the lags undone as far as they are known."""
+        """Make the image of a region, with the lags undone as far as they are known."""
         cells = deposit(window, velocity, region, workspace=self.workspace)
         return sharpen(cells, velocity, region, [_lag_px(lag_us, velocity)], workspace=self.workspace)
 

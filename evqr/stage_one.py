@@ -1,11 +1,12 @@
 """Stage one: pose and gain from the known modules, by inverse-compositional Gauss-Newton.
 
-The residual of a sample at code coordinates (u, v) is ``e + a_u L_u + a_v L_v``: e the event image seen through the pose, L the
-model (`evqr.model`), and the gain a = (a_u, a_v) the motion in modules times contrast over threshold, so that neither contrast nor
-threshold need be known.  A small affine motion of the model changes it by ``G_u (1, u, v), G_v (1, u, v)`` with
-``G_u = a_u L_uu + a_v L_uv`` and ``G_v = a_u L_uv + a_v L_vv``; perspective adds ``G_u uu + G_v uv, G_u uv + G_v vv``.  All of these
-are linear in a with columns that are known beforehand, so the Gauss-Newton matrix comes from a table (`PoseTable.gram`) and the
-image enters by its moments with that table alone (`evqr_kernels`, align_poses).
+The residual of a sample at code coordinates (u, v) is ``e + a_u L_u + a_v L_v``: e the event image seen
+through the pose, L the model (`evqr.model`), and the gain a = (a_u, a_v) the motion in modules times contrast
+over threshold, so that neither contrast nor threshold need be known.  A small affine motion of the model
+changes it by ``G_u (1, u, v), G_v (1, u, v)`` with ``G_u = a_u L_uu + a_v L_uv`` and
+``G_v = a_u L_uv + a_v L_vv``; perspective adds ``G_u uu + G_v uv, G_u uv + G_v vv``.  All of these are linear
+in a with columns that are known beforehand, so the Gauss-Newton matrix comes from a table (`PoseTable.gram`)
+and the image enters by its moments with that table alone (`evqr_kernels`, align_poses).
 """
 
 from __future__ import annotations
@@ -27,7 +28,7 @@ RIDGE = 1e-3
 
 @dataclass(frozen=True, kw_only=True)
 class Level:
-    """One step from coarse to fine: blur of the model [modules], samples a module, and whether perspective is free."""
+    """One step from coarse to fine: blur [modules], samples a module, and whether perspective is free."""
 
     sigma: float
     samples: int
@@ -35,12 +36,12 @@ class Level:
 
 
 def coarse_levels(cfg: StageOneConfig) -> tuple[Level, ...]:
-    """The levels that a pose from the search goes through before the last."""
+    """Give the levels that a pose from the search goes through before the last."""
     return tuple(Level(sigma=sigma, samples=samples, tilt=False) for sigma, samples in cfg.coarse_levels)
 
 
 def fine_levels(cfg: StageOneConfig) -> tuple[Level, ...]:
-    """The levels for a pose that is known to a fraction of a module."""
+    """Give the levels for a pose that is known to a fraction of a module."""
     return (Level(sigma=cfg.sigma, samples=cfg.samples, tilt=True),)
 
 
@@ -66,12 +67,13 @@ class Alignment:
 
 @functools.cache
 def _terms(tilt: bool) -> tuple[NDArray[np.int32], NDArray[np.int32]]:
-    """(P + 2, 4) each: which columns of the table make up a column of the Jacobian, and what each is multiplied with.
+    """Give the table's columns that make up each of the Jacobian's, and their factors, (P + 2, 4) each.
 
     Factors: 0 nothing, 1 a_u, 2 a_v, 3 one.
     """
     uu, uv, vv = 0, 6, 12  # where L_uu, L_uv, L_vv start in the table; behind each: 1, u, v, uu, uv, vv
-    rows = [((uu + w, 1), (uv + w, 2)) for w in range(3)] + [((uv + w, 1), (vv + w, 2)) for w in range(3)]
+    rows: list[tuple[tuple[int, int], ...]] = [((uu + w, 1), (uv + w, 2)) for w in range(3)]
+    rows += [((uv + w, 1), (vv + w, 2)) for w in range(3)]
     if tilt:
         for first, second in ((3, 4), (4, 5)):
             rows.append(((uu + first, 1), (uv + first, 2), (uv + second, 1), (vv + second, 2)))
@@ -99,7 +101,7 @@ def align(
     pose : (N, 3, 3)              code coordinates to cells
     levels                        coarse to fine
     image_idx : (N,) int32        image of each hypothesis; default the first
-    max_iterations                at each level, default ``cfg.max_iterations``; 0 scores the poses as they are
+    max_iterations                at each level, default the configured; 0 scores the poses as they are
     """
     n = len(pose)
     idx = np.zeros(n, np.int32) if image_idx is None else image_idx
@@ -134,7 +136,7 @@ def align(
 
 
 def shifted(pose: NDArray[np.float64]) -> NDArray[np.float64]:
-    """A pose (3, 3) and its eight neighbours one module away, (9, 3, 3); the pose itself is the fifth."""
+    """Give a pose (3, 3) and its neighbours one module away, (9, 3, 3); the pose itself is the fifth."""
     steps = np.tile(np.eye(3), (9, 1, 1))
     steps[:, 0, 2] = np.tile((-1.0, 0.0, 1.0), 3)
     steps[:, 1, 2] = np.repeat((-1.0, 0.0, 1.0), 3)
@@ -146,8 +148,8 @@ def refine_from_cold(
 ) -> Alignment:
     """Refine one pose (3, 3) from the coarse look: the finest level, then the neighbours one module away.
 
-    The cost has a side minimum one module off, where finder patterns half agree.  Its neighbours are looked at, not refined: from
-    a side minimum the true pose is exactly one module away.
+    The cost has a side minimum one module off, where finder patterns half agree.  Its neighbours are looked
+    at, not refined: from a side minimum the true pose is exactly one module away.
     """
     levels = fine_levels(cfg)
     found = align(image, pose[None], version, levels, cfg, workspace=workspace)

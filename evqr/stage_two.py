@@ -1,8 +1,8 @@
 """Stage two: the modules q, as a damped linear least-squares problem.
 
-For a fixed pose and gain the paper's cost is quadratic in q: ``|e + A q|^2``.  Its normal matrix is a stencil (a module meets only
-its neighbours, and all alike), so a window is summed up by (2 REACH + 1)^2 numbers and one right-hand side, both of which add over
-windows: many windows of one code cost one solve.
+For a fixed pose and gain the paper's cost is quadratic in q: ``|e + A q|^2``.  Its normal matrix is a
+stencil (a module meets only its neighbours, and all alike), so a window is summed up by (2 REACH + 1)^2
+numbers and one right-hand side, both of which add over windows: many windows of one code cost one solve.
 """
 
 from __future__ import annotations
@@ -45,7 +45,7 @@ class NormalEquations:
         return NormalEquations(self.version, self.stencil + other.stencil, self.rhs + other.rhs)
 
     def scaled(self, weight: float) -> NormalEquations:
-        """The same equations with a weight, one over the noise variance."""
+        """Give the same equations with a weight, one over the noise variance."""
         return NormalEquations(self.version, weight * self.stencil, weight * self.rhs)
 
 
@@ -65,13 +65,13 @@ class CodeEstimate:
 
 @functools.lru_cache(maxsize=32)
 def _profile_tables(sigma: float, samples: int) -> tuple[NDArray[np.float64], ...]:
-    """Sampled profile and slope, and their correlations at whole-module offsets: b b, b' b', b b'."""
+    """Sample profile and slope, and give their correlations at whole-module offsets: b b, b' b', b b'."""
     offsets = (np.arange(SUPPORT * samples) + 0.5) / samples - SUPPORT // 2
     b, slope, _ = profiles(offsets, sigma)
 
     def correlate(f: NDArray[np.float64], g: NDArray[np.float64]) -> NDArray[np.float64]:
         full = np.correlate(np.pad(f, REACH * samples), g, mode="valid")
-        return full[:: samples]
+        return full[::samples]
 
     return b, slope, correlate(b, b), correlate(slope, slope), correlate(b, slope)
 
@@ -159,4 +159,6 @@ def solve_modules(equations: NormalEquations, cfg: StageTwoConfig, *, workspace:
     )
     workspace.backend.synchronize(workspace.device)
     inner = slice(QUIET_MODULES, modules - QUIET_MODULES)
-    return CodeEstimate(workspace.get(q)[0, inner, inner] + np.float32(1.0), int(workspace.get(iterations)[0]))
+    return CodeEstimate(
+        workspace.get(q)[0, inner, inner] + np.float32(1.0), int(workspace.get(iterations)[0])
+    )

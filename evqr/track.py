@@ -15,7 +15,8 @@ from evqr.vote import Tally
 from evqr.windows import EventBuffer
 
 BASELINE = 8
-"""Windows over which the velocity is measured: long enough for precision, short enough for a speed that changes."""
+"""Windows over which the velocity is measured: long enough for precision, short enough for a speed that
+changes."""
 
 FULL_EFFORT_EVERY = 4
 """Windows between two attempts at decoding with many erasures; the others are quick."""
@@ -39,15 +40,16 @@ class Track:
     why_not           why it is not read yet
     """
 
-    def __init__(self, sighting: Sighting, start_us: int, end_us: int, solver: Solver) -> None:
+    def __init__(
+        self, sighting: Sighting, start_us: int, end_us: int, solver: Solver, clock: StageClock
+    ) -> None:
         cfg = solver.config
         self.seen = sighting
         self.first_us = start_us
         self.last_us = end_us
         self.reading: CodeReading | None = None
         self.why_not = ""
-        self.clock = StageClock()
-        self.clock.ms.update(solver.clock.ms)
+        self.clock = clock
         self._misses = 0
         self._tally = Tally(cfg.vote, cfg.stage_two, workspace=solver.workspace)
         self._path = deque([(sighting.time_us, sighting.centre)], maxlen=BASELINE)

@@ -1,8 +1,8 @@
 """What flows between the stages: events, poses, readings.
 
-Conventions (README, "Conventions"): x is the column and y the row, integers are pixel centres; time stamps are int64
-microseconds; polarity is -1 (darker) or +1 (brighter).  Code coordinates (u, v) are (column, row) in modules from the
-outer corner of the top-left module, so module (i, j) covers [j, j + 1] x [i, i + 1].
+Conventions (README, "Conventions"): x is the column and y the row, integers are pixel centres; time stamps
+are int64 microseconds; polarity is -1 (darker) or +1 (brighter).  Code coordinates (u, v) are (column, row)
+in modules from the outer corner of the top-left module, so module (i, j) covers [j, j + 1] x [i, i + 1].
 """
 
 from __future__ import annotations
@@ -70,7 +70,7 @@ class CodeReading:
     t_first_us, t_last_us     event time of first and last sight [us]
     t_read_us                 event time at which it first decoded [us]
     windows                   windows of events that were used until it decoded
-    corners_px : (4, 2)       outer corners (top-left, top-right, bottom-right, bottom-left) at ``t_read_us`` [px]
+    corners_px : (4, 2)       outer corners, from the top-left one clockwise, at ``t_read_us`` [px]
     motion_px_per_s : (2,)    velocity in the image [px/s]
     confidence                0 to 1
     errors_corrected          codewords that error correction changed
@@ -137,7 +137,7 @@ class ReadResult:
 
     Attributes
     ----------
-    status     READ when something was read, NO_READ otherwise, ERROR for a source of `read_many` that could not be read
+    status     READ when something was read, NO_READ otherwise, ERROR for a source that could not be read
     reason     why nothing was read, or the error; "" when something was read
     readings   one a code, in order of ``t_read_us``
     seen       what was seen: events, duration_us, windows searched, codes found but not decoded, ...

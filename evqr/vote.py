@@ -37,7 +37,8 @@ class Tally:
         if self._vote is Vote.MODE:
             ballot = np.sign(alone.q).astype(np.float64)
         else:
-            ballot = alone.q * float(np.trace(weighted.stencil))
-        self._votes = ballot if self._votes is None else self._votes + ballot
-        strongest = float(np.abs(self._votes).max()) or 1.0
-        return CodeEstimate((self._votes / strongest).astype(np.float32), alone.iterations)
+            ballot = alone.q.astype(np.float64) * float(np.trace(weighted.stencil))
+        votes = ballot if self._votes is None else self._votes + ballot
+        self._votes = votes
+        strongest = float(np.abs(votes).max()) or 1.0
+        return CodeEstimate((votes / strongest).astype(np.float32), alone.iterations)

@@ -1,7 +1,8 @@
-"""Windows: stretches of events with times relative to a reference, and the buffer that a stream is cut into them from."""
+"""Windows of events, with times relative to a reference, and the buffer that they are cut from."""
 
 from __future__ import annotations
 
+import threading
 from collections.abc import Iterator
 from dataclasses import dataclass
 
@@ -47,7 +48,7 @@ class Window:
         return 0.5 * (self.start_us + self.end_us)
 
     def keep(self, mask: NDArray[np.bool_]) -> Window:
-        """The window with only the events where ``mask``."""
+        """Give the window with only the events where ``mask``."""
         return Window(
             self.x[mask], self.y[mask], self.t[mask], self.p[mask],
             self.start_us, self.end_us, self.width, self.height,
@@ -77,14 +78,16 @@ def make_window(events: EventArray, start_us: int, end_us: int) -> Window:
 class EventBuffer:
     """The part of a stream that windows are still cut from.
 
-    Holds whole chunks, from the oldest one that is still wanted to the newest one that was asked for; `forget` lets go of
-    the old ones, so the memory is bounded by the longest window and one chunk.
+    Holds whole chunks, from the oldest one that is still wanted to the newest one that was asked for;
+    `forget` lets go of the old ones, so the memory is bounded by the longest window and one chunk.  Several
+    threads may cut windows at once.
     """
 
     def __init__(self, chunks: Iterator[EventArray]) -> None:
         self._chunks = chunks
         self._held: list[EventArray] = []
         self._ended = False
+        self._lock = threading.RLock()
         self.first_us: int | None = None
         self.seen = 0
         self._load()
@@ -106,25 +109,32 @@ class EventBuffer:
 
     def reaches(self, time_us: float) -> bool:
         """Load the stream up to a time; False when it ends before."""
-        while not self._ended and (not self._held or self.last_us < time_us):
-            self._load()
-        return bool(self._held) and self.last_us >= time_us
+        with self._lock:
+            while not self._ended and (not self._held or self.last_us < time_us):
+                self._load()
+            return bool(self._held) and self.last_us >= time_us
 
     def forget(self, before_us: float) -> None:
         """Let go of chunks that end before a time."""
-        while len(self._held) > 1 and self._held[0].t[-1] < before_us:
-            self._held.pop(0)
+        with self._lock:
+            while len(self._held) > 1 and self._held[0].t[-1] < before_us:
+                self._held.pop(0)
 
     def window(self, start_us: int, end_us: int) -> Window:
         """Cut a window, loading what it needs."""
-        self.reaches(end_us)
-        parts = [c.between(start_us, end_us) for c in self._held if c.t[-1] >= start_us and c.t[0] < end_us]
+        with self._lock:
+            self.reaches(end_us)
+            held = list(self._held)
+        parts = [c.between(start_us, end_us) for c in held if c.t[-1] >= start_us and c.t[0] < end_us]
         if not parts:
-            parts = [self._held[-1].cut(0, 0)]
+            parts = [held[-1].cut(0, 0)]
         if len(parts) == 1:
             return make_window(parts[0], start_us, end_us)
         joined = EventArray(
-            *(np.concatenate([getattr(part, name) for part in parts]) for name in ("t", "x", "y", "p")),
+            np.concatenate([part.t for part in parts]),
+            np.concatenate([part.x for part in parts]),
+            np.concatenate([part.y for part in parts]),
+            np.concatenate([part.p for part in parts]),
             parts[0].width,
             parts[0].height,
         )

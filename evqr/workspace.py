@@ -25,7 +25,7 @@ class Workspace:
         self._tables: dict[tuple[Any, ...], Any] = {}
 
     def buffer(self, name: str, shape: tuple[int, ...], dtype: DTypeLike = np.float32) -> Any:
-        """A buffer with undefined contents, the same one each time."""
+        """Give a buffer with undefined contents, the same one each time."""
         key = (name, shape, np.dtype(dtype))
         if key not in self._buffers:
             if len(self._buffers) > 512:
@@ -34,21 +34,21 @@ class Workspace:
         return self._buffers[key]
 
     def table(self, key: tuple[Any, ...], array: NDArray[Any]) -> Any:
-        """A constant table on the device, copied there when it is first asked for."""
+        """Give a constant table on the device, copied there when it is first asked for."""
         return self.once(key, lambda: self.backend.from_host(array, self.device))
 
     def once(self, key: tuple[Any, ...], make: Callable[[], T]) -> T:
-        """Whatever ``make`` gives, made when it is first asked for."""
+        """Give whatever ``make`` gives, made when it is first asked for."""
         if key not in self._tables:
             self._tables[key] = make()
         return self._tables[key]
 
     def put(self, array: NDArray[Any]) -> Any:
-        """An array of this window on the device."""
+        """Put an array of this window on the device."""
         return self.backend.from_host(array, self.device)
 
     def get(self, array: Any) -> NDArray[Any]:
-        """A device array on the host."""
+        """Give a device array on the host."""
         return self.backend.to_host(array)
 
     def clear(self, array: Any) -> None:

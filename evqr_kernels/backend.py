@@ -96,20 +96,20 @@ class KernelBackend(Protocol):
         self, x: Array, y: Array, t: Array, weight: Array, window_ptr: Array, motion: Array, frame: Array,
         deposit_out: Array,
     ) -> None:  # fmt: skip
-        """Share transported events among the cells around them, ON and OFF apart (B, 2, Y, X); accumulates."""
+        """Share transported events among four cells each, ON and OFF apart (B, 2, Y, X); accumulates."""
         ...
 
     def lag_operator(
         self, deposit: Array, deposit_idx: Array, direction: Array, lag: Array, taps: Array, rows_out: Array,
         image_out: Array,
     ) -> None:  # fmt: skip
-        """Blur deposits and undo the pixels' lag; ``taps`` is (2, odd), ``rows_out`` (N, 2, Y, X); width at least 16 + taps."""
+        """Blur deposits and undo the pixels' lag; ``rows_out`` is (N, 2, Y, X), X at least 16 + taps."""
         ...
 
     def motion_correlation(
         self, first: Array, second: Array, radius: int, rows_out: Array, correlation_out: Array
     ) -> None:
-        """Correlate two images over a square of shifts; ``rows_out`` is (B, Y, 2 R + 1, W), fastest with W = 16, 32, ..."""
+        """Correlate two images over shifts; ``rows_out`` is (B, Y, 2 R + 1, W), fastest with W = 16 k."""
         ...
 
     def reduce_image(self, image: Array, ratio: float, rows_out: Array, image_out: Array) -> None:

@@ -1,8 +1,9 @@
 """Finder patterns in the motion-compensated events, and the codes that three of them could belong to.
 
-The paper's 1:1:3:1:1 kernel on rows and columns finds nothing at 45 degrees: a code's axes are not the image's.  Here a
-bank of signed two-dimensional matched filters, ``-(grad of the finder pattern) . m / |m|`` at eight angles, runs over a
-pyramid on which a module always has the same size.  Coarse steps are enough: stage one refines.
+The paper's 1:1:3:1:1 kernel on rows and columns finds nothing at 45 degrees: a code's axes are not the
+image's.  Here a bank of signed two-dimensional matched filters, ``-(grad of the finder pattern) . m / |m|``
+at eight angles, runs over a pyramid on which a module always has the same size.  Coarse steps are enough:
+stage one refines.
 """
 
 from __future__ import annotations
@@ -85,7 +86,7 @@ class Hypothesis:
 
 @functools.cache
 def _template_gradients(cells_a_module: float, half: int) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    """Gradient of a finder pattern's luminance in the image, (2, n, n, ANGLES), and the disc (n, n) it fills."""
+    """Give the gradient of a finder pattern in the image, (2, n, n, ANGLES), and its disc (n, n)."""
     steps = np.arange(-half, half + 1) / cells_a_module
     x, y = np.meshgrid(steps, steps)
     disc = (x * x + y * y <= min(5.2, half / cells_a_module + 0.3) ** 2).astype(np.float64)
@@ -106,7 +107,9 @@ def _template_gradients(cells_a_module: float, half: int) -> tuple[NDArray[np.fl
     return gradients, disc
 
 
-def _bank(direction: NDArray[np.float64], cfg: FinderConfig) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
+def _bank(
+    direction: NDArray[np.float64], cfg: FinderConfig
+) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
     gradients, disc = _template_gradients(cfg.cells_a_module, cfg.half)
     bank = -(direction[0] * gradients[0] + direction[1] * gradients[1])
     bank /= np.sqrt(np.square(bank).sum(axis=(0, 1)))
@@ -137,8 +140,8 @@ def find_peaks(
     ----------
     velocity : (2,) [px/s]
     lag_px          lag of the pixels for ON and OFF events along the motion [px]
-    quick           only the module sizes of ``cfg.quick_module_px``, and only places with much energy: most codes at a third
-                    of the cost
+    quick           only the module sizes of ``cfg.quick_module_px``, and only places with much energy:
+                    most codes at a third of the cost
 
     Returns
     -------
@@ -176,7 +179,9 @@ def find_peaks(
         angle = workspace.buffer("finder angle", (1, height, width), np.int32)
         backend.correlate_templates(padded, bank_dev, disc_dev, workspace.put(floor), response, angle)
         backend.synchronize(device)
-        found.append(_local_peaks(workspace.get(response)[0], workspace.get(angle)[0], module_px, cell, keep, cfg))
+        found.append(
+            _local_peaks(workspace.get(response)[0], workspace.get(angle)[0], module_px, cell, keep, cfg)
+        )
     if not found:
         raise ValueError(
             f"the sensor must be large enough for a finder pattern, got {window.width}x{window.height}"
@@ -185,7 +190,7 @@ def find_peaks(
 
 
 def _level_buffers(height: int, width: int, pad: int, workspace: Workspace) -> tuple[Any, Any]:
-    """A level with a border of zeros that templates may hang over, and the level inside it."""
+    """Make a level with a border of zeros that templates may hang over, and the level inside it."""
 
     def make() -> tuple[Any, Any]:
         padded = workspace.backend.empty((1, height + 2 * pad, width + 2 * pad), np.float32, workspace.device)
@@ -204,7 +209,7 @@ def _finest(
     lag_px: tuple[float, float],
     workspace: Workspace,
 ) -> NDArray[np.float32]:
-    """The finest level from the events, (1, height, width); what falls on no cell is exactly 0."""
+    """Make the finest level from the events, (1, height, width); what falls on no cell is exactly 0."""
     region = Region(-0.5, -0.5, cell, height, width)
     events = deposit(window, velocity, region, workspace=workspace)
     image = sharpen(events, velocity, region, [lag_px], workspace=workspace)
@@ -216,7 +221,12 @@ def _finest(
 
 
 def _local_peaks(
-    response: NDArray[np.float32], angle: NDArray[np.int32], module_px: float, cell: float, keep: int, cfg: FinderConfig
+    response: NDArray[np.float32],
+    angle: NDArray[np.int32],
+    module_px: float,
+    cell: float,
+    keep: int,
+    cfg: FinderConfig,
 ) -> NDArray[np.float64]:
     """Local maxima of |response| on one level: rows of (response, x, y, module, angle)."""
     height, width = response.shape
@@ -251,7 +261,7 @@ def _local_peaks(
 
 
 def _merge(found: NDArray[np.float64], keep: int, cfg: FinderConfig) -> Peaks:
-    """The best peaks; a place seen again on a neighbouring level is the same peak."""
+    """Keep the best peaks; a place seen again on a neighbouring level is the same peak."""
     found = found[np.argsort(-np.abs(found[:, 0]), kind="stable")][: 2 * keep]
     x, y, size = found[:, 1], found[:, 2], np.log(np.maximum(found[:, 3], 1e-9))
     same = np.hypot(x[:, None] - x, y[:, None] - y) < 2.0 * found[:, 3][:, None]
@@ -272,7 +282,8 @@ def _merge(found: NDArray[np.float64], keep: int, cfg: FinderConfig) -> Peaks:
 def find_hypotheses(peaks: Peaks, cfg: FinderConfig) -> list[Hypothesis]:
     """Triples of peaks that make the corners of a code, best first.
 
-    Corner i sees its neighbours j (along u) and k (along v) at a right angle, with equal legs of 10 + 4 version modules.
+    Corner i sees its neighbours j (along u) and k (along v) at a right angle, with equal legs of 10 + 4
+    version modules.
     """
     n = len(peaks.response)
     if n < 3:

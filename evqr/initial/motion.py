@@ -1,8 +1,9 @@
 """Motion from cold: the displacement between the two halves of a window.
 
-The paper takes the first principal component of the events in space-time; over a whole view that finds the extent of the
-object rather than its motion.  Instead the signed counts of the two halves are correlated, and the displacement of the peak
-is divided by the difference of the halves' mean times.  The sign comes from the order of time.
+The paper takes the first principal component of the events in space-time; over a whole view that finds the
+extent of the object rather than its motion.  Instead the signed counts of the two halves are correlated, and
+the displacement of the peak is divided by the difference of the halves' mean times.  The sign comes from the
+order of time.
 """
 
 from __future__ import annotations
@@ -51,7 +52,7 @@ def _smoother(size: int, sigma: float) -> NDArray[np.float64]:
 def _quadratic() -> NDArray[np.float64]:
     """Least-squares fit of ``c0 + c1 x + c2 y + c3 x^2 + c4 xy + c5 y^2`` to a 3 x 3 neighbourhood."""
     y, x = (g.ravel() for g in np.mgrid[-1:2, -1:2])
-    return np.linalg.pinv(np.stack([np.ones(9), x, y, x * x, x * y, y * y], axis=1))
+    return np.linalg.pinv(np.stack([np.ones(9), x, y, x * x, x * y, y * y], axis=1)).astype(np.float64)
 
 
 def _peak(surface: NDArray[np.float64]) -> NDArray[np.float64]:
@@ -61,10 +62,10 @@ def _peak(surface: NDArray[np.float64]) -> NDArray[np.float64]:
     row, column = (int(k) + 1 for k in np.unravel_index(inner.argmax(), inner.shape))
     c = _quadratic() @ surface[row - 1 : row + 2, column - 1 : column + 2].ravel()
     hessian = np.array([[2.0 * c[3], c[4]], [c[4], 2.0 * c[5]]])
-    offset = np.zeros(2)
+    offset: NDArray[np.float64] = np.zeros(2)
     if hessian[0, 0] < 0.0 and np.linalg.det(hessian) > 0.0:
         offset = np.clip(-np.linalg.solve(hessian, c[1:3]), -1.0, 1.0)
-    return offset + (column - radius, row - radius)
+    return np.array([offset[0] + column - radius, offset[1] + row - radius])
 
 
 def estimate_motion(
@@ -75,7 +76,8 @@ def estimate_motion(
     Parameters
     ----------
     reduction   binning [px]; 1 is the precise look
-    reach       largest displacement between the halves [binned px]; default ``cfg.reach_px``, and more when the peak lies there
+    reach       largest displacement between the halves [binned px]; default ``cfg.reach_px``, and more where
+                the peak lies there
 
     Returns
     -------

@@ -1,7 +1,7 @@
 """Poses from the search, tried coarsely all at once: which hypotheses deserve a closer look.
 
-Stage one's coarse levels run on the images that the search for finder patterns made already, all hypotheses of one version in one
-batch.
+Stage one's coarse levels run on the images that the search for finder patterns made already, all hypotheses
+of one version in one batch.
 """
 
 from __future__ import annotations

@@ -12,7 +12,18 @@ from numpy.typing import DTypeLike, NDArray
 
 from evqr_kernels.backend import OPS
 from evqr_kernels.config import DEFAULT_KERNELS, KernelSet
-from evqr_kernels.numpy_backend import align, code, lag, motion, pose, render, residual, solve, splat, templates
+from evqr_kernels.numpy_backend import (
+    align,
+    code,
+    lag,
+    motion,
+    pose,
+    render,
+    residual,
+    solve,
+    splat,
+    templates,
+)
 
 
 class NumpyBackend:

@@ -33,7 +33,9 @@ def lag_operator(deposit, deposit_idx, direction, lag, taps, rows_out, image_out
         for p in range(2):
             across = _filter(deposit[b, p], blur, axis=1)
             along = across - lag[n, p] * direction[n, 0] * _filter(deposit[b, p], slope, axis=1)
-            image = _filter(along, blur, axis=0) - lag[n, p] * direction[n, 1] * _filter(across, slope, axis=0)
+            image = _filter(along, blur, axis=0) - lag[n, p] * direction[n, 1] * _filter(
+                across, slope, axis=0
+            )
             image_out[n, reach:-reach, reach:-reach] += image[reach:-reach, reach:-reach]
 
 

@@ -1,19 +1,23 @@
 """The fast way from events to a sharp image: deposit once, then blur and undo the pixels' lag on the grid.
 
-``deposit_events`` transports each event as ``splat_events`` does and shares its weight among the four cells around it,
-ON and OFF events (the sign of the weight) on an image each:
+``deposit_events`` transports each event as ``splat_events`` does and shares its weight among the four cells
+around it, ON and OFF events (the sign of the weight) on an image each:
 
     deposit_p(x) = sum_i w_i T(x - c_i),      T(r) = max(0, 1 - |r_x|) max(0, 1 - |r_y|)
 
-``lag_operator`` blurs with sampled taps b and their slopes b', and undoes a first-order pixel that lags by lag_p cells along the
-unit vector d, as in ``splat`` but for all cells at once and for any number of lags from one deposit:
+``lag_operator`` blurs with sampled taps b and their slopes b', and undoes a first-order pixel that lags by
+lag_p cells along the unit vector d, as in ``splat`` but for all cells at once and for any number of lags
+from one deposit:
 
-    image = sum_p (1 - lag_p d . grad) B deposit_p = sum_p (b b^T - lag_p (d_x b' b^T + d_y b b'^T)) * deposit_p
+    image = sum_p (1 - lag_p d . grad) B deposit_p
+          = sum_p (b b^T - lag_p (d_x b' b^T + d_y b b'^T)) * deposit_p
 
-Rows first: ``along = sum_p b * deposit_p - lag_p d_x b' * deposit_p`` and ``across = sum_p -lag_p d_y b * deposit_p``; then columns,
-``image = b * along + b' * across``.  Cells closer to the border than the taps reach are 0.
+Rows first: ``along = sum_p b * deposit_p - lag_p d_x b' * deposit_p`` and
+``across = sum_p -lag_p d_y b * deposit_p``; then columns, ``image = b * along + b' * across``.  Cells nearer
+to the border than the taps reach are 0.
 
-Adjoint of the deposit in the weights: ``adj_w_i = sum_x adj_p(x) T(x - c_i)``; the operator's is itself with slopes negated.
+Adjoint of the deposit in the weights: ``adj_w_i = sum_x adj_p(x) T(x - c_i)``; the operator's is itself with
+slopes negated.
 """
 
 from functools import cache
@@ -64,9 +68,9 @@ def make_deposit_events(dtype: type) -> wp.Kernel:
                 column = int(cx)
                 row = int(cy)
                 w = weight[e]
-                image = int(0)
+                image = wp.int32(0)
                 if w < dtype(0.0):
-                    image = int(1)
+                    image = wp.int32(1)
                 share = (cx - dtype(column)) * w
                 pair = vec_pair(w - share, share)
                 below = (cy - dtype(row)) * pair
