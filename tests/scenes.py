@@ -1,11 +1,13 @@
 """Simulated scenes for the tests of solver and reader, each made once a session, and what is true of them."""
 
 import functools
+from dataclasses import replace
 
 import numpy as np
 
 from evqr.simulate import CodePlacement, Simulation, simulate
 from evqr.simulate.geometry import transform
+from evqr.types import EventArray
 from evqr.windows import Window, make_window
 
 SMALL = {"width": 320, "height": 240, "threads": 1}
@@ -72,3 +74,33 @@ def moved(
         ]
     )
     return pose @ about
+
+
+def joined(*parts: EventArray, gap_us: int = 0) -> EventArray:
+    """Recordings one after another, each in the time after the one before."""
+    moved_on, start = [], 0
+    for part in parts:
+        moved_on.append(replace(part, t=part.t + start))
+        start = int(moved_on[-1].t[-1]) + 1 + gap_us
+    columns = (np.concatenate([getattr(part, name) for part in moved_on]) for name in ("t", "x", "y", "p"))
+    return EventArray(*columns, parts[0].width, parts[0].height)
+
+
+def keep(events: EventArray, mask: np.ndarray) -> EventArray:
+    """Only the events where ``mask``."""
+    return EventArray(
+        events.t[mask], events.x[mask], events.y[mask], events.p[mask], events.width, events.height
+    )
+
+
+def noise(count: int, duration_us: int, *, seed: int = 0, width: int = 320, height: int = 240) -> EventArray:
+    """Events at any time and place."""
+    rng = np.random.default_rng(seed)
+    return EventArray(
+        np.sort(rng.integers(0, duration_us, count)),
+        rng.integers(0, width, count).astype(np.uint16),
+        rng.integers(0, height, count).astype(np.uint16),
+        rng.choice(np.array([-1, 1], np.int8), count),
+        width,
+        height,
+    )

@@ -2,7 +2,7 @@
 
 import numpy as np
 import pytest
-from scenes import scene, window_of
+from scenes import noise, scene, window_of
 
 from evqr.config import MotionConfig
 from evqr.initial.motion import estimate_motion, find_motion, window_length_us
@@ -37,18 +37,6 @@ def small(**options):
     """A small scene and its velocity [px/s]."""
     made = scene(**{"version": 1, "module_px": 4.0, "width": 200, "height": 160, "travel_px": 6.0, **options})
     return made, made.truth["truth"]["velocity"][0]
-
-
-def noise(count, duration_us, seed=0, width=320, height=240):
-    rng = np.random.default_rng(seed)
-    return EventArray(
-        np.sort(rng.integers(0, duration_us, count)),
-        rng.integers(0, width, count).astype(np.uint16),
-        rng.integers(0, height, count).astype(np.uint16),
-        rng.choice(np.array([-1, 1], np.int8), count),
-        width,
-        height,
-    )
 
 
 # ---- what is found
