@@ -62,9 +62,9 @@ def _peak(surface: NDArray[np.float64]) -> NDArray[np.float64]:
     row, column = (int(k) + 1 for k in np.unravel_index(inner.argmax(), inner.shape))
     c = _quadratic() @ surface[row - 1 : row + 2, column - 1 : column + 2].ravel()
     hessian = np.array([[2.0 * c[3], c[4]], [c[4], 2.0 * c[5]]])
-    offset: NDArray[np.float64] = np.zeros(2)
+    offset = np.zeros(2)
     if hessian[0, 0] < 0.0 and np.linalg.det(hessian) > 0.0:
-        offset = np.clip(-np.linalg.solve(hessian, c[1:3]), -1.0, 1.0)
+        offset[:] = np.clip(-np.linalg.solve(hessian, c[1:3]), -1.0, 1.0)
     return np.array([offset[0] + column - radius, offset[1] + row - radius])
 
 

@@ -42,4 +42,7 @@ def lag_operator(deposit, deposit_idx, direction, lag, taps, rows_out, image_out
 def _filter(image: NDArray, taps: NDArray, *, axis: int) -> NDArray:
     """Correlate along one axis; what lies nearer to the border than the taps reach is not to be used."""
     reach = len(taps) // 2
-    return sum(tap * np.roll(image, reach - k, axis=axis) for k, tap in enumerate(taps))
+    total = np.zeros_like(image)
+    for k, tap in enumerate(taps):
+        total += tap * np.roll(image, reach - k, axis=axis)
+    return total
