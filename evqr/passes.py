@@ -27,6 +27,12 @@ Progress = Callable[[int, "int | None"], None]
 SEARCH_UNKNOWN_US = 2_000
 """Time between two searches while the speed is unknown [us]."""
 
+MOST_BESIDE = 16
+"""Codes that one search finds at most."""
+
+SEARCH_LONGEST_US = 20_000
+"""Longest time between two searches [us]: what is in view now may be slow, and a fast code may come."""
+
 SEARCH_SELDOM = 4
 """How much less often is searched while a code is followed."""
 
@@ -125,23 +131,37 @@ class Passes:
             self._searches += 1
             self._windows += look.end_us > look.start_us
             if isinstance(look.found, str):
-                self._note(look.clock)
                 self._reason = look.found
+        for look in looks[:found]:
+            self._note(look.clock)
         look = looks[found]
         if look.motion is None:
+            self._note(look.clock)
             return look.start_us + SEARCH_UNKNOWN_US
         self._speed = look.motion.speed
-        if isinstance(look.found, Sighting):
+        for _ in range(MOST_BESIDE):
+            if not isinstance(look.found, Sighting) or look.motion is None:
+                break
             if any(look.found.lag_us):
                 self._lag_us = look.found.lag_us
             self._tracks.append(Track(look.found, look.start_us, look.end_us, self._solver, look.clock))
             self._settle(self._tracks[-1])
-        return look.start_us + self._step_us(look.motion.speed)
+            look = self._look_beside(look, look.motion)
+        self._note(look.clock)
+        return look.start_us + self._step_us(self._speed)
+
+    def _look_beside(self, look: _Look, motion: Motion) -> _Look:
+        """Search the window of a find again, for a code beside it."""
+        clock = self._solver.clock = StageClock()
+        window = self._outside_tracks(self.events.window(look.start_us, look.end_us))
+        found = self._solver.look(window, motion, lag_us=self._lag_us)
+        return replace(look, found=found, clock=clock)
 
     def _step_us(self, speed: float) -> int:
         """Time between two searches [us]."""
         travel = self.config.search_px * (SEARCH_SELDOM if self._tracks else 1)
-        return max(self._solver.window_us(speed), round(travel / speed * 1e6))
+        step = max(self._solver.window_us(speed), round(travel / speed * 1e6))
+        return min(step, SEARCH_LONGEST_US)
 
     def _look_at(self, solver: Solver, at_us: int) -> _Look:
         """Search once; runs on any thread and changes nothing here."""

@@ -174,7 +174,7 @@ class Solver:
             return find_motion(events, start_us, self.config.motion, workspace=self.workspace, speed=speed)
 
     def motion_in(self, window: Window) -> Motion | None:
-        """Motion from one window's events alone."""
+        """Estimate the motion from one window's events alone."""
         with self.clock("motion"):
             return estimate_motion(window, self.config.motion, workspace=self.workspace)
 

@@ -61,7 +61,8 @@ def make_window(events: EventArray, start_us: int, end_us: int) -> Window:
     The middle is the reference: an error of the motion then blurs the window, but does not move the code.
     """
     part = events.between(start_us, end_us)
-    relative = (2 * part.t - (start_us + end_us)).astype(np.float32)
+    # start first: stamps may be as large as int64 allows
+    relative = (2 * (part.t - start_us) - (end_us - start_us)).astype(np.float32)
     relative *= np.float32(0.5e-6)
     return Window(
         part.x.astype(np.float32),

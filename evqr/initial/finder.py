@@ -182,11 +182,7 @@ def find_peaks(
         found.append(
             _local_peaks(workspace.get(response)[0], workspace.get(angle)[0], module_px, cell, keep, cfg)
         )
-    if not found:
-        raise ValueError(
-            f"the sensor must be large enough for a finder pattern, got {window.width}x{window.height}"
-        )
-    return _merge(np.concatenate(found), keep, cfg), pyramid
+    return _merge(np.concatenate([np.empty((0, 5)), *found]), keep, cfg), pyramid
 
 
 def _level_buffers(height: int, width: int, pad: int, workspace: Workspace) -> tuple[Any, Any]:

@@ -115,9 +115,10 @@ def estimate_motion(
         return estimate_motion(window, cfg, workspace=workspace, reduction=reduction, reach=4 * cfg.reach_px)
     displacement = peak * reduction
     between = float(window.t[middle:].mean(dtype=np.float64) - window.t[:middle].mean(dtype=np.float64))
-    if between <= 0.0:
+    height_of_peak = float(surface.max() / max(energy, 1e-9))
+    if between <= 0.0 or height_of_peak < cfg.min_peak:
         return None
-    return Motion(displacement / between, float(surface.max() / max(energy, 1e-9)))
+    return Motion(displacement / between, height_of_peak)
 
 
 def window_length_us(speed: float, travel_px: float, cfg: MotionConfig) -> int:
@@ -140,7 +141,7 @@ def find_motion(
             coarse = estimate_motion(
                 events.window(start_us, start_us + length), cfg, workspace=workspace, reduction=cfg.reduction
             )
-            if coarse is not None and coarse.peak >= cfg.min_peak and coarse.speed * length * 1e-6 >= 1.0:
+            if coarse is not None and coarse.speed * length * 1e-6 >= 1.0:
                 speed = coarse.speed
                 break
             if length >= cfg.longest_us:
@@ -150,5 +151,4 @@ def find_motion(
             return None
     assert speed is not None
     length = window_length_us(speed, cfg.travel_px, cfg)
-    fine = estimate_motion(events.window(start_us, start_us + length), cfg, workspace=workspace)
-    return fine if fine is not None and fine.peak >= cfg.min_peak else None
+    return estimate_motion(events.window(start_us, start_us + length), cfg, workspace=workspace)
