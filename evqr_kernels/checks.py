@@ -5,6 +5,10 @@ from __future__ import annotations
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
+
+Floats = NDArray[np.floating[Any]]
+Ints = NDArray[np.int32]
 
 Extent = str | int
 """A size that is given, or a letter that stands for the same size in every array of a call."""
@@ -48,10 +52,25 @@ class ArrayChecks:
             first = int(np.argmax(np.diff(array) < 0)) + 1
             raise ValueError(f"window_ptr must not decrease, got {array[first]} after {array[first - 1]}")
 
+    def index(self, name: str, array: Ints, count: int) -> None:
+        """Raise unless every entry is the index of one of ``count`` things."""
+        if len(array) and not (0 <= array.min() and array.max() < count):
+            raise ValueError(f"{name} must be 0 to {count - 1}, got {array.min()} to {array.max()}")
+
     def at_least(self, name: str, value: float, least: float) -> None:
         """Raise unless ``value`` is a number of at least ``least``."""
         if not value >= least:
             raise ValueError(f"{name} must be at least {least}, got {value}")
+
+    def image_shape(self, out: Floats | None, shape: tuple[int, int] | None) -> tuple[int, int, int]:
+        """(B, Y, X) of an image: that of ``out``, which is checked, or else with the given (Y, X)."""
+        if out is not None:
+            self.floats("out", out, "B", "Y", "X")
+            return self.sizes["B"], self.sizes["Y"], self.sizes["X"]
+        if shape is None:
+            raise TypeError("shape of the image must be given when there is no out")
+        height, width = shape
+        return self.sizes["B"], height, width
 
     def _numpy(self, name: str, array: Any) -> None:
         if not isinstance(array, np.ndarray):

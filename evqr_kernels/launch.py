@@ -10,6 +10,9 @@ from numpy.typing import DTypeLike, NDArray
 from evqr_kernels.backend import get_backend, require_device
 from evqr_kernels.checks import ArrayChecks
 
+CHUNK = 512
+"""Events or samples that one thread adds up."""
+
 
 class Launch:
     """One call: puts arrays on a device and brings the results back."""

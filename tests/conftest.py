@@ -1,9 +1,15 @@
 """Options of the test suite."""
 
+from hypothesis import settings
+
+# The same examples in every run: what fails is a change, not chance.  Machines differ in speed: no deadline.
+settings.register_profile("repeatable", derandomize=True, deadline=None)
+settings.load_profile("repeatable")
+
 
 def pytest_addoption(parser):
     parser.addoption(
         "--device",
         action="append",
-        help="run the kernels on this device only, 'cuda:0' say; may be repeated; by default on all there are",
+        help="run the kernels on this device only, 'cuda:0' say; may be repeated; default: on all there are",
     )

@@ -72,6 +72,21 @@ def splat_events_adjoint(rng, dtype):
     return Call("splat_events_adjoint", inputs, outputs, (SPLAT,), scratch=1)
 
 
+def deposit_events(rng, dtype):
+    *events, motion, _, frame = splat_inputs(rng, dtype)
+    return Call("deposit_events", [*events, motion, frame], [filled((B, 2, Y, X), dtype, 0.5)])
+
+
+def lag_operator(rng, dtype):
+    deposit = rng.normal(size=(B, 2, Y, X)).astype(dtype)
+    angle = rng.uniform(0, 6, 3)
+    direction = np.stack([np.cos(angle), np.sin(angle)], axis=1).astype(dtype)
+    lag = rng.uniform(0, 3, (3, 2)).astype(dtype)
+    taps = rng.normal(size=(2, 5)).astype(dtype)
+    inputs = [deposit, np.array([2, 0, 2], np.int32), direction, lag, taps]
+    return Call("lag_operator", inputs, [filled((3, 2, Y, X), dtype), filled((3, Y, X), dtype)], scratch=1)
+
+
 def motion_correlation(rng, dtype, radius=5):
     first, second = (rng.normal(size=(B, Y, X)) * (rng.random((B, Y, X)) < 0.3) for _ in range(2))
     shifts = 2 * radius + 1
@@ -81,7 +96,8 @@ def motion_correlation(rng, dtype, radius=5):
 
 def reduce_image(rng, dtype):
     image = rng.normal(size=(B, Y, X)).astype(dtype)
-    return Call("reduce_image", [image, 1.25], [filled((B, 19, X), dtype), filled((B, 19, 25), dtype)], scratch=1)
+    outputs = [filled((B, 19, X), dtype), filled((B, 19, 25), dtype)]
+    return Call("reduce_image", [image, 1.25], outputs, scratch=1)
 
 
 def correlate_templates(rng, dtype, width=24, n=5):
@@ -183,6 +199,8 @@ CALLS = [
     splat_events,
     splat_events_wide,
     splat_events_adjoint,
+    deposit_events,
+    lag_operator,
     motion_correlation,
     reduce_image,
     correlate_templates,

@@ -14,6 +14,7 @@ from .helpers import assert_close, filled
 
 WINDOWED = [
     "splat_events",
+    "deposit_events",
     "motion_correlation",
     "reduce_image",
     "correlate_templates",
@@ -30,7 +31,7 @@ def one_window(make, rng_seed, dtype, b):
     call = make(np.random.default_rng(rng_seed), dtype)
     shared = {"correlate_templates": (1, 2), "code_rhs": (2, 3, 4)}.get(call.op, ())
     inputs = []
-    if call.op == "splat_events":
+    if call.op in ("splat_events", "deposit_events"):
         ptr = call.inputs[4]
         part = slice(ptr[b], ptr[b + 1])
         inputs = [column[part] for column in call.inputs[:4]]

@@ -1,0 +1,50 @@
+"""The checked door: functions on NumPy arrays that check, choose a backend, allocate, and compute.
+
+All arrays of a call are float32, or all float64; index arrays are int32.  Each function takes ``backend`` (a
+name for `evqr_kernels.backend.get_backend`) and ``device`` ("cpu", "cuda:0", ...; by default the backend's
+first), and raises
+
+TypeError            an array that is not NumPy's, or of the wrong dtype
+ValueError           a wrong shape, range, name or device
+BackendUnavailable   a backend that cannot be loaded here
+NotImplementedError  an operation that the backend refuses, with its reason
+
+Who owns device buffers calls the methods of the backend, which have the same names and take the same arrays.
+Shape letters: B windows, E events, Y and X image rows and columns.
+"""
+
+from evqr_kernels.ops.codes import align_poses, code_rhs, sample_moments, sample_moments_adjoint, solve_code
+from evqr_kernels.ops.events import (
+    bin_events,
+    deposit_events,
+    lag_operator,
+    splat_events,
+    splat_events_adjoint,
+)
+from evqr_kernels.ops.images import correlate_templates, motion_correlation, reduce_image
+from evqr_kernels.ops.render import (
+    brightness_residual,
+    brightness_residual_adjoint,
+    render_affine,
+    render_affine_adjoint,
+)
+
+__all__ = [
+    "align_poses",
+    "bin_events",
+    "brightness_residual",
+    "brightness_residual_adjoint",
+    "code_rhs",
+    "correlate_templates",
+    "deposit_events",
+    "lag_operator",
+    "motion_correlation",
+    "reduce_image",
+    "render_affine",
+    "render_affine_adjoint",
+    "sample_moments",
+    "sample_moments_adjoint",
+    "solve_code",
+    "splat_events",
+    "splat_events_adjoint",
+]

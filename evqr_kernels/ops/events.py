@@ -1,0 +1,229 @@
+"""Checked functions from events to images."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from evqr_kernels.checks import ArrayChecks, Floats, Ints
+from evqr_kernels.config import SplatConfig
+from evqr_kernels.launch import CHUNK, Launch
+
+
+def bin_events(
+    x: Floats, y: Floats, weight: Floats, window_ptr: Ints, *, reduction: float = 1.0,
+    shape: tuple[int, int] | None = None, out: Floats | None = None, backend: str = "auto",
+    device: str | None = None,
+) -> Floats:  # fmt: skip
+    """Count events into pixels of ``reduction`` px.
+
+    Parameters
+    ----------
+    x, y : (E,) [px]              column and row; integers are pixel centres
+    weight : (E,)                 what an event counts; a polarity, say
+    window_ptr : (B + 1,) int32   first event of each window; window_ptr[-1] == E
+    reduction                     side of an image pixel [px]
+    shape                         (Y, X) of the image; not needed with ``out``
+    out : (B, Y, X)               ACCUMULATED; made and zeroed when None
+
+    Returns
+    -------
+    (B, Y, X)   the image; events outside it are dropped
+    """
+    checks = ArrayChecks()
+    _check_events(checks, x=x, y=y, weight=weight, window_ptr=window_ptr)
+    checks.at_least("reduction", reduction, 1e-6)
+    size = checks.image_shape(out, shape)
+    launch = Launch("bin_events", checks, backend, device)
+    launch.run(*launch.put(x, y, weight, window_ptr), reduction, launch.result(out, *size))
+    return launch.results()[0]
+
+
+def splat_events(
+    x: Floats, y: Floats, t: Floats, weight: Floats, window_ptr: Ints, motion: Floats, *,
+    lag: Floats | None = None, frame: Floats | None = None, cfg: SplatConfig | None = None,
+    shape: tuple[int, int] | None = None, out: Floats | None = None, backend: str = "auto",
+    device: str | None = None,
+) -> Floats:  # fmt: skip
+    """Scatter events, transported to the reference time, as splats.
+
+    Parameters
+    ----------
+    x, y : (E,) [px]              column and row; integers are pixel centres
+    t : (E,) [s]                  relative to the window's reference time
+    weight : (E,)                 mass of the splat; its sign tells ON from OFF
+    window_ptr : (B + 1,) int32   first event of each window; window_ptr[-1] == E
+    motion : (B, 2) [px/s]
+    lag : (B, 2) [image px]       how far ON and OFF pixels lag along the motion; by default not at all
+    frame : (B, 3)                corner of the image (x, y) and side of its pixels [px]; by default 0, 0, 1
+    cfg                           shape of the splat
+    shape                         (Y, X) of the image; not needed with ``out``
+    out : (B, Y, X)               ACCUMULATED; made and zeroed when None
+
+    Returns
+    -------
+    (B, Y, X)   the image; events that do not reach it are dropped
+
+    Notes
+    -----
+    One thread an event.  Float atomics: on a GPU sums repeat to a tolerance, not bit for bit.
+
+    See Also
+    --------
+    splat_events_adjoint, bin_events
+    """
+    checks = ArrayChecks()
+    lag, frame = _check_splat(checks, x, y, t, weight, window_ptr, motion, lag, frame)
+    size = checks.image_shape(out, shape)
+    launch = Launch("splat_events", checks, backend, device)
+    inputs = launch.put(x, y, t, weight, window_ptr, motion, lag, frame)
+    launch.run(*inputs, launch.result(out, *size), cfg or SplatConfig())
+    return launch.results()[0]
+
+
+def splat_events_adjoint(
+    x: Floats, y: Floats, t: Floats, weight: Floats, window_ptr: Ints, motion: Floats, adj_image: Floats, *,
+    lag: Floats | None = None, frame: Floats | None = None, cfg: SplatConfig | None = None,
+    backend: str = "auto", device: str | None = None,
+) -> tuple[Floats, Floats]:  # fmt: skip
+    """Adjoint of `splat_events` in weight and motion; lag and the direction of the motion are parameters.
+
+    Parameters
+    ----------
+    adj_image : (B, Y, X)   derivative of the loss with respect to the image
+    others                  as in `splat_events`
+
+    Returns
+    -------
+    (E,), (B, 2)   derivatives of the loss with respect to weight and motion
+    """
+    checks = ArrayChecks()
+    lag, frame = _check_splat(checks, x, y, t, weight, window_ptr, motion, lag, frame)
+    checks.floats("adj_image", adj_image, "B", "Y", "X")
+    launch = Launch("splat_events_adjoint", checks, backend, device)
+    inputs = launch.put(x, y, t, weight, window_ptr, motion, lag, frame, adj_image)
+    events, windows = len(x), len(motion)
+    chunks = launch.scratch(windows, max(1, -(-events // CHUNK)), 2)
+    launch.run(
+        *inputs, chunks, launch.result(None, events), launch.result(None, windows, 2), cfg or SplatConfig()
+    )
+    adj_weight, adj_motion = launch.results()
+    return adj_weight, adj_motion
+
+
+def deposit_events(
+    x: Floats, y: Floats, t: Floats, weight: Floats, window_ptr: Ints, motion: Floats, *,
+    frame: Floats | None = None, shape: tuple[int, int] | None = None, out: Floats | None = None,
+    backend: str = "auto", device: str | None = None,
+) -> Floats:  # fmt: skip
+    """Share transported events among the four cells around each, ON and OFF apart.
+
+    Parameters
+    ----------
+    x, y, t, weight, window_ptr, motion, frame
+                         as in `splat_events`
+    shape                (Y, X) of the images; not needed with ``out``
+    out : (B, 2, Y, X)   ACCUMULATED; made and zeroed when None
+
+    Returns
+    -------
+    (B, 2, Y, X)   images of positive and negative weights; events that do not lie between cells are dropped
+
+    Notes
+    -----
+    One thread for 64 events.  Float atomics: on a GPU sums repeat to a tolerance, not bit for bit.
+
+    See Also
+    --------
+    lag_operator
+    """
+    checks = ArrayChecks()
+    frame = _check_transport(checks, x, y, t, weight, window_ptr, motion, frame)
+    if out is not None:
+        checks.floats("out", out, "B", 2, "Y", "X")
+        size = out.shape
+    else:
+        batch, height, width = checks.image_shape(None, shape)
+        size = batch, 2, height, width
+    launch = Launch("deposit_events", checks, backend, device)
+    launch.run(*launch.put(x, y, t, weight, window_ptr, motion, frame), launch.result(out, *size))
+    return launch.results()[0]
+
+
+def lag_operator(
+    deposit: Floats, deposit_idx: Ints, direction: Floats, lag: Floats, taps: Floats, *,
+    backend: str = "auto", device: str | None = None,
+) -> Floats:  # fmt: skip
+    """Blur deposits and undo pixels that lag: ``sum_p (1 - lag_p direction . grad) blur deposit_p``.
+
+    Parameters
+    ----------
+    deposit : (B, 2, Y, X)         of ON and of OFF events; X at least 16 + K
+    deposit_idx : (N,) int32       the deposit that each image is made of
+    direction : (N, 2)             unit vector along which the pixels lag
+    lag : (N, 2) [image px]        of ON and of OFF pixels
+    taps : (2, K)                  a sampled blur and its slope; K odd, at least 3
+
+    Returns
+    -------
+    (N, Y, X)   the images; 0 closer to the border than the taps reach
+
+    Notes
+    -----
+    The adjoint in the deposits is the same operator with the direction negated.
+
+    See Also
+    --------
+    deposit_events
+    """
+    checks = ArrayChecks()
+    checks.floats("deposit", deposit, "B", 2, "Y", "X")
+    checks.ints("deposit_idx", deposit_idx, "N")
+    checks.floats("direction", direction, "N", 2)
+    checks.floats("lag", lag, "N", 2)
+    checks.floats("taps", taps, 2, "K")
+    (batch, _, height, width), size = deposit.shape, taps.shape[1]
+    if size < 3 or size % 2 == 0:
+        raise ValueError(f"taps must have shape (2, K) with K odd and at least 3, got {taps.shape}")
+    if width < 16 + size:
+        raise ValueError(f"deposit must be at least 16 + K = {16 + size} wide, got {width}")
+    checks.index("deposit_idx", deposit_idx, batch)
+    launch = Launch("lag_operator", checks, backend, device)
+    count = len(deposit_idx)
+    rows = launch.scratch(count, 2, height, width)
+    launch.run(
+        *launch.put(deposit, deposit_idx, direction, lag, taps),
+        rows,
+        launch.result(None, count, height, width),
+    )
+    return launch.results()[0]
+
+
+def _check_events(checks: ArrayChecks, *, window_ptr: Ints, **columns: Floats) -> None:
+    for name, column in columns.items():
+        checks.floats(name, column, "E")
+    checks.window_ptr(window_ptr)
+
+
+def _check_transport(
+    checks: ArrayChecks, x: Floats, y: Floats, t: Floats, weight: Floats, window_ptr: Ints, motion: Floats,
+    frame: Floats | None,
+) -> Floats:  # fmt: skip
+    """Check events that are transported into a frame; give the frame, or what stands for it."""
+    _check_events(checks, x=x, y=y, t=t, weight=weight, window_ptr=window_ptr)
+    checks.floats("motion", motion, "B", 2)
+    frame = np.tile(np.array([0.0, 0.0, 1.0], motion.dtype), (len(motion), 1)) if frame is None else frame
+    checks.floats("frame", frame, "B", 3)
+    if not (frame[:, 2] > 0).all():
+        raise ValueError(f"frame must have a positive scale, got {frame[:, 2].min()}")
+    return frame
+
+
+def _check_splat(
+    checks: ArrayChecks, x: Floats, y: Floats, t: Floats, weight: Floats, window_ptr: Ints, motion: Floats,
+    lag: Floats | None, frame: Floats | None,
+) -> tuple[Floats, Floats]:  # fmt: skip
+    """Check what `splat_events` and its adjoint share; give lag and frame, or what stands for them."""
+    frame = _check_transport(checks, x, y, t, weight, window_ptr, motion, frame)
+    lag = np.zeros_like(motion) if lag is None else lag
+    checks.floats("lag", lag, "B", 2)
+    return lag, frame

@@ -1,0 +1,112 @@
+"""Laws of deposits and of the lag operator."""
+
+import numpy as np
+import pytest
+
+import evqr_kernels
+
+from . import cases
+from .helpers import assert_adjoint, assert_close, filled
+
+BLUR = np.exp(-0.5 * (np.arange(-2, 3) / 0.8) ** 2)
+SLOPE = np.arange(-2, 3) * BLUR
+TAPS = np.stack([BLUR / BLUR.sum(), SLOPE / (SLOPE @ np.arange(-2, 3))])
+"""A blur that sums to 1 and a slope that is exact for a linear image."""
+
+INNER = np.s_[..., 2:-2, 2:-2]
+ONE = np.zeros(1, np.int32)
+
+
+def run(name, deposit, direction, lag):
+    direction, lag = np.array([direction], deposit.dtype), np.array([lag], deposit.dtype)
+    taps = TAPS.astype(deposit.dtype)
+    return evqr_kernels.lag_operator(deposit, ONE, direction, lag, taps, backend=name)
+
+
+def test_deposits_keep_mass_centre_and_sign(placed, dtype, rng):
+    x, y = (rng.uniform(1, size - 2, 40).astype(dtype) for size in (cases.X, cases.Y))
+    t, weight = np.zeros(40, dtype), rng.choice([-1.0, 2.0], 40).astype(dtype)
+    ptr, motion = np.array([0, 40], np.int32), np.zeros((1, 2), dtype)
+    out = filled((1, 2, cases.Y, cases.X), dtype, 0.0)
+    frame = np.array([[0, 0, 1]], dtype)
+    (deposit,) = placed("deposit_events", [x, y, t, weight, ptr, motion, frame], [out])
+    for image, sign in zip(deposit[0], (1, -1), strict=True):
+        own = np.where(np.sign(weight) == sign, weight, 0)
+        assert_close(image.sum(axis=0) @ np.arange(cases.X, dtype=dtype), own @ x)
+        assert_close(image.sum(axis=1) @ np.arange(cases.Y, dtype=dtype), own @ y)
+        assert (sign * image >= 0).all()
+
+
+def test_an_event_between_cells_is_shared():
+    half = np.full(1, 2.5, np.float32)
+    none, ptr = np.zeros(1, np.float32), np.array([0, 1], np.int32)
+    deposit = evqr_kernels.deposit_events(
+        half, half + 0.25, none, none - 1, ptr, np.zeros((1, 2), np.float32), shape=(8, 8)
+    )
+    assert not deposit[0, 0].any()
+    np.testing.assert_allclose(deposit[0, 1, 2:4, 2:4], [[-0.125, -0.125], [-0.375, -0.375]])
+    assert np.count_nonzero(deposit) == 4
+
+
+def test_motion_and_frame_say_where():
+    x, y, t = (np.array([v], np.float32) for v in (12.0, 7.0, 0.002))
+    motion, frame = np.array([[1000.0, -500.0]], np.float32), np.array([[4.5, 2.5, 2.0]], np.float32)
+    ptr = np.array([0, 1], np.int32)
+    deposit = evqr_kernels.deposit_events(x, y, t, t / t, ptr, motion, frame=frame, shape=(8, 8))
+    # transported to (10, 8); the first cell is 2 px wide and ends half a px before its frame's corner
+    column, row = (10 - 4.5 + 0.5) / 2 - 0.5, (8 - 2.5 + 0.5) / 2 - 0.5
+    assert (column, row) == (2.5, 2.5)
+    np.testing.assert_allclose(deposit[0, 0, 2:4, 2:4], 0.25)
+
+
+@pytest.mark.parametrize("name", ["numpy", "warp"])
+def test_the_operator_is_exact_for_a_ramp(name):
+    column, row = np.meshgrid(np.arange(32.0), np.arange(20.0))
+    deposit = np.stack([3 * column, 5 * row])[None]
+    image = run(name, deposit, (0.6, 0.8), (1.5, 2.0))
+    expected = 3 * (column - 0.6 * 1.5) + 5 * (row - 0.8 * 2.0)
+    np.testing.assert_allclose(image[0][INNER], expected[INNER], rtol=1e-12)
+    border = image[0].copy()
+    border[INNER] = 0
+    assert not border.any()
+
+
+@pytest.mark.parametrize("name", ["numpy", "warp"])
+def test_the_adjoint_is_the_operator_with_the_direction_turned(name, rng):
+    deposit = rng.normal(size=(1, 2, 20, 30))
+    direction, lag = np.array([0.6, -0.8]), (1.5, 2.5)
+    y = np.zeros((1, 20, 30))
+    y[..., 4:-4, 4:-4] = rng.normal(size=(12, 22))
+    back = [run(name, np.stack([y, 0 * y], axis=1), -direction, (own, 0.0)) for own in lag]
+    assert_adjoint(run(name, deposit, direction, lag), y, deposit, np.stack(back, axis=1))
+
+
+def test_a_lag_is_undone():
+    """Of an edge that a first-order pixel smears along the motion, the blurred edge is left."""
+    x, lag = np.arange(64.0), 2.0
+    edge = np.exp(-0.5 * ((x - 20) / 2.0) ** 2)
+    smeared = np.zeros(64)
+    for late in np.arange(0, 40, 0.05):  # behind the edge: -x for a motion along +x
+        smeared += np.interp(x + late, x, edge) * np.exp(-late / lag) * 0.05 / lag
+    rows = np.tile(smeared, (9, 1))
+    deposit = np.stack([rows, np.zeros_like(rows)])[None]
+    undone = run("numpy", deposit, (1.0, 0.0), (lag, 0.0))[0, 4]
+    wanted = np.convolve(edge, TAPS[0], mode="same")
+    assert np.abs(undone - wanted)[4:-4].max() < 0.03 < 0.2 < np.abs(smeared - wanted)[4:-4].max()
+
+
+@pytest.mark.parametrize("width", [21, 22, 36, 37, 53])
+@pytest.mark.parametrize("height", [1, 4, 5, 9])
+def test_any_size(width, height, placed, spec, dtype, rng):
+    call = cases.lag_operator(rng, dtype)
+    call.inputs[0] = rng.normal(size=(cases.B, 2, height, width)).astype(dtype)
+    call.outputs = [filled((3, 2, height, width), dtype), filled((3, height, width), dtype)]
+    assert_close(*call.run(placed), *call.run(spec))
+
+
+@pytest.mark.parametrize("shape", [(1, 1), (1, 9), (9, 1), (2, 2)])
+def test_deposits_on_small_images(shape, placed, spec, dtype, rng):
+    call = cases.deposit_events(rng, dtype)
+    call.inputs[:2] = [(column / 6).astype(dtype) for column in call.inputs[:2]]
+    call.outputs = [filled((cases.B, 2, *shape), dtype, 0.5)]
+    assert_close(*call.run(placed), *call.run(spec))
