@@ -76,7 +76,7 @@ class FinderConfig:
     quick_score: float = 0.5
     quick_floor: float = 0.8
     floor: float = 0.3
-    min_response: float = 0.35
+    min_response: float = 0.28
     max_peaks: int = 64
     max_hypotheses: int = 48
     first_hypotheses: int = 4
