@@ -21,6 +21,7 @@ from evqr_kernels.warp_backend import (
     align,
     code,
     lag,
+    lag_adjoint,
     motion,
     pose,
     render,
@@ -44,7 +45,9 @@ class WarpBackend:
     splat_events = staticmethod(splat.splat_events)
     splat_events_adjoint = staticmethod(splat_adjoint.splat_events_adjoint)
     deposit_events = staticmethod(lag.deposit_events)
+    deposit_events_adjoint = staticmethod(lag_adjoint.deposit_events_adjoint)
     lag_operator = staticmethod(lag.lag_operator)
+    lag_operator_adjoint = staticmethod(lag_adjoint.lag_operator_adjoint)
     motion_correlation = staticmethod(motion.motion_correlation)
     reduce_image = staticmethod(templates.reduce_image)
     correlate_templates = staticmethod(templates.correlate_templates)
