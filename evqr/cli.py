@@ -27,9 +27,10 @@ if TYPE_CHECKING:
     from evqr.config import ReadConfig
     from evqr.recording import Recording
     from evqr.recording.source import TimeUnit
-    from evqr_kernels.backend import KernelBackend
 
 OK, NOTHING, BAD, INTERRUPTED, PIPE_CLOSED = 0, 1, 2, 130, 141
+
+COMPILING = "compiling kernels for this machine (first run only) ..."
 
 
 class SizeType(click.ParamType):
@@ -268,33 +269,16 @@ def _read_config(**given: Any) -> ReadConfig:
 
 def _prepare(backend: str, device: str) -> None:
     """Refuse a backend or a device that is not there; compile kernels that are not yet, and say so."""
-    from evqr_kernels.backend import BackendUnavailable, require_device
+    from evqr_kernels.backend import BackendUnavailable, get_backend, require_device
 
     try:
-        kernels = _load_backend(backend, device)
+        kernels = get_backend(backend)
         require_device(kernels, device)
     except (BackendUnavailable, ValueError) as error:
         raise UsageError(str(error)) from error
     if kernels.needs_compile(device):
-        _note("compiling kernels for this machine (first run only) ...")
+        _note(COMPILING)
         kernels.load(device)
-
-
-def _load_backend(backend: str, device: str) -> KernelBackend:
-    from evqr_kernels.backend import get_backend
-
-    if device != "cpu":
-        return get_backend(backend)
-    # Warp's library says past sys.stderr that there is no GPU; who asked for the CPU need not hear it.
-    sys.stderr.flush()
-    stderr = os.dup(2)
-    try:
-        with open(os.devnull, "wb") as nowhere:
-            os.dup2(nowhere.fileno(), 2)
-        return get_backend(backend)
-    finally:
-        os.dup2(stderr, 2)
-        os.close(stderr)
 
 
 def _read_one(recording: Recording, as_json: bool, picture: Path | None, **options: Any) -> int:
@@ -329,7 +313,7 @@ def _read_many(recordings: tuple[Path, ...], jobs: int, as_json: bool, **options
     from evqr.many import read_many
 
     statuses = []
-    with _process_pool(jobs, options["backend"], options["device"]) as pool:
+    with _process_pool(jobs) as pool:
         results = read_many(recordings, executor=pool, **options)
         # disable=None: no bar where stderr is no terminal
         for path, result in zip(
@@ -344,7 +328,7 @@ def _read_many(recordings: tuple[Path, ...], jobs: int, as_json: bool, **options
 
 
 @contextmanager
-def _process_pool(jobs: int, backend: str, device: str) -> Iterator[ProcessPoolExecutor | None]:
+def _process_pool(jobs: int) -> Iterator[ProcessPoolExecutor | None]:
     """Start workers as fresh processes: kernels and their threads do not survive a fork."""
     if jobs == 1:
         yield None
@@ -352,19 +336,14 @@ def _process_pool(jobs: int, backend: str, device: str) -> Iterator[ProcessPoolE
     pool = ProcessPoolExecutor(
         jobs,
         mp_context=multiprocessing.get_context("spawn"),
-        initializer=_start_worker,
-        initargs=(backend, device),
+        # Ctrl-C reaches the workers too: let it end them at once, without a traceback each.
+        initializer=signal.signal,
+        initargs=(signal.SIGINT, signal.SIG_DFL),
     )
     try:
         yield pool
     finally:
         pool.shutdown(cancel_futures=True)
-
-
-def _start_worker(backend: str, device: str) -> None:
-    # Ctrl-C reaches the workers too: let it end them at once, without a traceback each.
-    signal.signal(signal.SIGINT, signal.SIG_DFL)
-    _load_backend(backend, device)
 
 
 def _show(result: ReadResult, as_json: bool, extra: dict[str, Any]) -> None:
@@ -481,8 +460,10 @@ def simulate(
     """
     from evqr.recording import save_recording
     from evqr.simulate import simulate as run_simulation
+    from evqr.simulate.sensor import needs_compile
 
-    _load_backend("warp", "cpu")  # the simulator runs on it
+    if needs_compile():
+        _note(COMPILING)
     made = run_simulation(
         text,
         version=version,

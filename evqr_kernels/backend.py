@@ -99,11 +99,25 @@ class KernelBackend(Protocol):
         """Share transported events among four cells each, ON and OFF apart (B, 2, Y, X); accumulates."""
         ...
 
+    def deposit_events_adjoint(
+        self, x: Array, y: Array, t: Array, weight: Array, window_ptr: Array, motion: Array, frame: Array,
+        adj_deposit: Array, adj_weight_out: Array,
+    ) -> None:  # fmt: skip
+        """Adjoint of `deposit_events` in the weights."""
+        ...
+
     def lag_operator(
         self, deposit: Array, deposit_idx: Array, direction: Array, lag: Array, taps: Array, rows_out: Array,
         image_out: Array,
     ) -> None:  # fmt: skip
         """Blur deposits and undo the pixels' lag; ``rows_out`` is (N, 2, Y, X), X at least 16 + taps."""
+        ...
+
+    def lag_operator_adjoint(
+        self, deposit_idx: Array, direction: Array, lag: Array, taps: Array, adj_image: Array,
+        rows_out: Array, adj_deposit_out: Array,
+    ) -> None:  # fmt: skip
+        """Adjoint of `lag_operator` in the deposit; ``rows_out`` is (N, 2, Y, X)."""
         ...
 
     def motion_correlation(
@@ -187,7 +201,9 @@ OPS = (
     "splat_events",
     "splat_events_adjoint",
     "deposit_events",
+    "deposit_events_adjoint",
     "lag_operator",
+    "lag_operator_adjoint",
     "motion_correlation",
     "reduce_image",
     "correlate_templates",

@@ -16,6 +16,8 @@ from evqr_kernels import BackendUnavailable
 LONG = {"travel_px": 30.0}
 """Long enough to be read, followed, lost and found."""
 
+HARD = {"preset": "hard", "speed_px_ms": 8.0, "travel_px": 20.0}
+
 CORNER_TOLERANCE = 0.3
 """Modules: windows of 2 px of travel, with the velocity of the first of them held for half a window."""
 
@@ -172,6 +174,16 @@ def test_the_size_of_chunks_does_not_matter(chunk_events, events, read):
         assert_same_results(read_codes(recording), read)
 
 
+def test_the_size_of_chunks_does_not_matter_to_a_reading_of_many_windows():
+    events = scene(**HARD).events
+    config, found = ReadConfig(window_us=60), []
+    for chunk_events in (500, 1 << 20):
+        with evqr.open_recording(events, chunk_events=chunk_events) as recording:
+            found.append(read_codes(recording, config=config))
+    assert_same_results(*found)
+    assert only(found[0]).windows > 1
+
+
 def test_time_may_start_anywhere(events, read):
     late = 1_633_953_690_975_950
     shifted = EventArray(events.t + late, events.x, events.y, events.p, events.width, events.height)
@@ -191,16 +203,17 @@ def test_the_source_is_not_changed(events):
 # ---- several codes
 
 
-def two_codes(left, right, **options):
+def two_codes(left, right, travel_px=24.0):
     codes = (
         CodePlacement(text=left, version=1, module_px=4.5, angle=20.0, offset_px=(-85.0, 0.0)),
         CodePlacement(text=right, version=1, module_px=4.5, angle=60.0, offset_px=(85.0, 0.0)),
     )
-    return scene(codes=codes, width=420, direction=10.0, travel_px=24.0, **options)
+    return scene(codes=codes, width=420, direction=10.0, travel_px=travel_px)
 
 
-def test_two_codes_side_by_side():
-    made = two_codes("LEFT", "RIGHT")
+@pytest.mark.parametrize("travel_px", [8.0, 24.0])
+def test_two_codes_side_by_side(travel_px):
+    made = two_codes("LEFT", "RIGHT", travel_px)
     result = read_codes(made.events)
     assert sorted(r.text for r in result.readings) == ["LEFT", "RIGHT"]
     for reading in result.readings:
@@ -231,11 +244,11 @@ def test_the_same_text_on_a_second_object_is_a_second_reading(events):
     assert a.t_last_us < b.t_first_us
 
 
-@pytest.mark.parametrize("until_us", [4_000, 5_500])
-def test_a_code_that_is_lost_for_a_while_is_one_reading(until_us, events):
-    """Without any event for 4 and for 10 px of travel, then it goes on where it should be by then."""
-    dark = keep(events, (events.t < 3_000) | (events.t >= until_us))
-    reading = only(read_codes(dark))
+@pytest.mark.parametrize("until_us", [4_000, 10_000])
+def test_a_code_that_is_lost_for_a_while_is_one_reading(until_us):
+    """Without any event for 4 px of travel, and for 28 px: then it has to be searched anew."""
+    events = scene(travel_px=60.0, version=1).events
+    reading = only(read_codes(keep(events, (events.t < 3_000) | (events.t >= until_us))))
     assert reading.t_first_us < 500
     assert reading.t_last_us > until_us
 
@@ -287,9 +300,6 @@ def test_a_mirrored_view_gives_no_wrong_text():
 
 
 # ---- options
-
-
-HARD = {"preset": "hard", "speed_px_ms": 8.0, "travel_px": 20.0}
 
 
 @pytest.mark.parametrize("vote", Vote)
@@ -349,6 +359,27 @@ def test_progress_goes_forward_to_the_end(events):
     assert done == sorted(done)
     assert done[0] >= 0
     assert {call[1] for call in calls} == {events.t[-1] - events.t[0]}
+
+
+def test_threads_search_ahead_and_read_the_same():
+    """50 px of something else before the code comes: searches on two threads find it, each time alike."""
+    made = scene(travel_px=60.0, version=1)
+    before = scene(code=False, travel_px=50.0)
+    events = joined(before.events, made.events, gap_us=3_000)
+    one = only(read_codes(events))
+    two = [read_codes(events, threads=2) for _ in range(2)]
+    assert_same_results(*two)
+    start = int(before.events.t[-1]) + 3_001
+    for reading in (one, only(two[0])):
+        assert start <= reading.t_first_us < reading.t_read_us < start + made.events.t[-1]
+        off = np.abs(reading.corners_px - true_corners(made.truth["truth"], reading.t_read_us - start)).max()
+        assert off < 5.0 * CORNER_TOLERANCE
+
+
+@pytest.mark.parametrize("threads", [0, -1])
+def test_no_threads_are_refused(threads, events):
+    with pytest.raises(ValueError, match=f"threads must be at least 1, got {threads}"):
+        read_codes(events, threads=threads)
 
 
 def test_the_numpy_backend_reads_the_same():

@@ -13,6 +13,7 @@ from evqr.simulate.config import SceneConfig, SensorConfig
 from evqr.simulate.geometry import Motion
 from evqr.simulate.texture import TEXELS, Texture
 from evqr.types import EventArray
+from evqr_kernels.backend import get_backend
 
 #: Travel before the recording starts, in which the pixels forget their initial state [px].
 RUN_IN_PX = 10.0
@@ -49,6 +50,17 @@ def draw_pixels(scene: SceneConfig, sensor: SensorConfig, rng: np.random.Generat
     return np.concatenate([thresholds, level[..., None]], axis=-1).astype(np.float32)
 
 
+def needs_compile() -> bool:
+    """Whether `run_pixels` has to compile its kernel first, which takes seconds."""
+    get_backend("warp")
+    import warp as wp
+
+    from evqr.simulate import pixel_kernel
+    from evqr_kernels.warp_backend import is_compiled
+
+    return not is_compiled(wp.get_module(pixel_kernel.__name__), "cpu")
+
+
 def run_pixels(
     scene: SceneConfig,
     sensor: SensorConfig,
@@ -63,6 +75,7 @@ def run_pixels(
 
     from evqr.simulate import pixel_kernel
 
+    get_backend("warp")  # it starts Warp, in silence
     wp.load_module(pixel_kernel, device="cpu")
     start_us = -RUN_IN_PX / motion.speed
     to_texture = np.diag([*TEXELS, 1.0])

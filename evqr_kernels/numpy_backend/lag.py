@@ -1,4 +1,4 @@
-"""Deposits and the lag operator; the formulas are in ``warp_backend/lag.py``."""
+"""Deposits and the lag operator; the formulas are in ``warp_backend/lag.py`` and ``lag_adjoint.py``."""
 
 from __future__ import annotations
 
@@ -8,20 +8,19 @@ from numpy.typing import NDArray
 
 def deposit_events(x, y, t, weight, window_ptr, motion, frame, deposit_out) -> None:
     """Share events among the cells around them, ON and OFF apart; accumulates."""
-    height, width = deposit_out.shape[2:]
     for b in range(len(motion)):
-        part = slice(window_ptr[b], window_ptr[b + 1])
-        half = x.dtype.type(0.5)
-        cx = (x[part] - t[part] * motion[b, 0] - frame[b, 0] + half) / frame[b, 2] - half
-        cy = (y[part] - t[part] * motion[b, 1] - frame[b, 1] + half) / frame[b, 2] - half
-        inside = (cx >= 0) & (cy >= 0) & (cx < width - 1) & (cy < height - 1)
-        cx, cy, w = cx[inside], cy[inside], weight[part][inside]
-        column, row = cx.astype(int), cy.astype(int)
-        fx, fy = cx - column, cy - row
-        image = (w < 0).astype(int)
-        for dy, share_y in ((0, 1 - fy), (1, fy)):
-            for dx, share_x in ((0, 1 - fx), (1, fx)):
-                np.add.at(deposit_out[b], (image, row + dy, column + dx), w * share_x * share_y)
+        events, cells = _shares(x, y, t, weight, window_ptr, motion, frame, b, deposit_out.shape)
+        for place, share in cells:
+            np.add.at(deposit_out[b], place, weight[events] * share)
+
+
+def deposit_events_adjoint(x, y, t, weight, window_ptr, motion, frame, adj_deposit, adj_weight_out) -> None:
+    """Adjoint of `deposit_events` in the weights; overwrites."""
+    adj_weight_out[:] = 0
+    for b in range(len(motion)):
+        events, cells = _shares(x, y, t, weight, window_ptr, motion, frame, b, adj_deposit.shape)
+        for place, share in cells:
+            adj_weight_out[events] += share * adj_deposit[b][place]
 
 
 def lag_operator(deposit, deposit_idx, direction, lag, taps, rows_out, image_out) -> None:
@@ -37,6 +36,43 @@ def lag_operator(deposit, deposit_idx, direction, lag, taps, rows_out, image_out
                 across, slope, axis=0
             )
             image_out[n, reach:-reach, reach:-reach] += image[reach:-reach, reach:-reach]
+
+
+def lag_operator_adjoint(deposit_idx, direction, lag, taps, adj_image, rows_out, adj_deposit_out) -> None:
+    """Adjoint of `lag_operator` in the deposit; overwrites."""
+    adj_deposit_out[:] = 0
+    blur, slope = taps[:, ::-1]
+    reach = len(blur) // 2
+    inner = np.zeros_like(adj_image)
+    inner[:, reach:-reach, reach:-reach] = adj_image[:, reach:-reach, reach:-reach]
+    for n, b in enumerate(deposit_idx):
+        along, across = (_filter(inner[n], shifts, axis=0) for shifts in (blur, slope))
+        rows_out[n] = along, across
+        for p in range(2):
+            adj_deposit_out[b, p] += _filter(along, blur, axis=1) - lag[n, p] * (
+                direction[n, 0] * _filter(along, slope, axis=1)
+                + direction[n, 1] * _filter(across, blur, axis=1)
+            )
+
+
+def _shares(x, y, t, weight, window_ptr, motion, frame, b, shape) -> tuple[NDArray, list]:
+    """Events of a window that lie between cells, and for the four around: (image, row, column), share."""
+    height, width = shape[2:]
+    part = slice(window_ptr[b], window_ptr[b + 1])
+    half = x.dtype.type(0.5)
+    cx = (x[part] - t[part] * motion[b, 0] - frame[b, 0] + half) / frame[b, 2] - half
+    cy = (y[part] - t[part] * motion[b, 1] - frame[b, 1] + half) / frame[b, 2] - half
+    # also false for NaN
+    inside = np.flatnonzero((cx >= 0) & (cy >= 0) & (cx < width - 1) & (cy < height - 1))
+    cx, cy, events = cx[inside], cy[inside], part.start + inside
+    column, row = cx.astype(int), cy.astype(int)
+    fx, fy = cx - column, cy - row
+    image = (weight[events] < 0).astype(int)
+    return events, [
+        ((image, row + dy, column + dx), share_y * share_x)
+        for dy, share_y in ((0, 1 - fy), (1, fy))
+        for dx, share_x in ((0, 1 - fx), (1, fx))
+    ]
 
 
 def _filter(image: NDArray, taps: NDArray, *, axis: int) -> NDArray:

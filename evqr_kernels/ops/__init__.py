@@ -17,7 +17,9 @@ from evqr_kernels.ops.codes import align_poses, code_rhs, sample_moments, sample
 from evqr_kernels.ops.events import (
     bin_events,
     deposit_events,
+    deposit_events_adjoint,
     lag_operator,
+    lag_operator_adjoint,
     splat_events,
     splat_events_adjoint,
 )
@@ -37,7 +39,9 @@ __all__ = [
     "code_rhs",
     "correlate_templates",
     "deposit_events",
+    "deposit_events_adjoint",
     "lag_operator",
+    "lag_operator_adjoint",
     "motion_correlation",
     "reduce_image",
     "render_affine",

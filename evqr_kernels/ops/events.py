@@ -134,7 +134,7 @@ def deposit_events(
 
     See Also
     --------
-    lag_operator
+    deposit_events_adjoint, lag_operator
     """
     checks = ArrayChecks()
     frame = _check_transport(checks, x, y, t, weight, window_ptr, motion, frame)
@@ -146,6 +146,34 @@ def deposit_events(
         size = batch, 2, height, width
     launch = Launch("deposit_events", checks, backend, device)
     launch.run(*launch.put(x, y, t, weight, window_ptr, motion, frame), launch.result(out, *size))
+    return launch.results()[0]
+
+
+def deposit_events_adjoint(
+    x: Floats, y: Floats, t: Floats, weight: Floats, window_ptr: Ints, motion: Floats, adj_deposit: Floats, *,
+    frame: Floats | None = None, backend: str = "auto", device: str | None = None,
+) -> Floats:  # fmt: skip
+    """Adjoint of `deposit_events` in weight, while the signs of the weights stay.
+
+    Parameters
+    ----------
+    adj_deposit : (B, 2, Y, X)   derivative of the loss with respect to the deposit
+    others                       as in `deposit_events`
+
+    Returns
+    -------
+    (E,)   derivative of the loss with respect to weight
+
+    Notes
+    -----
+    One thread an event, without atomics: results repeat bit for bit.
+    """
+    checks = ArrayChecks()
+    frame = _check_transport(checks, x, y, t, weight, window_ptr, motion, frame)
+    checks.floats("adj_deposit", adj_deposit, "B", 2, "Y", "X")
+    launch = Launch("deposit_events_adjoint", checks, backend, device)
+    inputs = launch.put(x, y, t, weight, window_ptr, motion, frame, adj_deposit)
+    launch.run(*inputs, launch.result(None, len(x)))
     return launch.results()[0]
 
 
@@ -167,23 +195,13 @@ def lag_operator(
     -------
     (N, Y, X)   the images; 0 closer to the border than the taps reach
 
-    Notes
-    -----
-    The adjoint in the deposits is the same operator with the direction negated.
-
     See Also
     --------
-    deposit_events
+    deposit_events, lag_operator_adjoint
     """
     checks = ArrayChecks()
     checks.floats("deposit", deposit, "B", 2, "Y", "X")
-    checks.ints("deposit_idx", deposit_idx, "N")
-    checks.floats("direction", direction, "N", 2)
-    checks.floats("lag", lag, "N", 2)
-    checks.floats("taps", taps, 2, "K")
-    (batch, _, height, width), size = deposit.shape, taps.shape[1]
-    if size < 3 or size % 2 == 0:
-        raise ValueError(f"taps must have shape (2, K) with K odd and at least 3, got {taps.shape}")
+    (batch, _, height, width), size = deposit.shape, _check_lag(checks, deposit_idx, direction, lag, taps)
     if width < 16 + size:
         raise ValueError(f"deposit must be at least 16 + K = {16 + size} wide, got {width}")
     checks.index("deposit_idx", deposit_idx, batch)
@@ -195,6 +213,39 @@ def lag_operator(
         rows,
         launch.result(None, count, height, width),
     )
+    return launch.results()[0]
+
+
+def lag_operator_adjoint(
+    deposit_idx: Ints, direction: Floats, lag: Floats, taps: Floats, adj_image: Floats, *, deposits: int,
+    backend: str = "auto", device: str | None = None,
+) -> Floats:  # fmt: skip
+    """Adjoint of `lag_operator` in the deposit, in which it is linear.
+
+    Parameters
+    ----------
+    adj_image : (N, Y, X)   derivative of the loss with respect to the images
+    deposits                B, how many deposits there are
+    others                  as in `lag_operator`
+
+    Returns
+    -------
+    (B, 2, Y, X)   derivative of the loss with respect to the deposit; 0 where no image is made of it
+
+    Notes
+    -----
+    One thread a cell, without atomics: results repeat bit for bit.
+    """
+    checks = ArrayChecks()
+    _check_lag(checks, deposit_idx, direction, lag, taps)
+    checks.floats("adj_image", adj_image, "N", "Y", "X")
+    checks.at_least("deposits", deposits, 0)
+    checks.index("deposit_idx", deposit_idx, deposits)
+    launch = Launch("lag_operator_adjoint", checks, backend, device)
+    count, height, width = adj_image.shape
+    inputs = launch.put(deposit_idx, direction, lag, taps, adj_image)
+    rows = launch.scratch(count, 2, height, width)
+    launch.run(*inputs, rows, launch.result(None, deposits, 2, height, width))
     return launch.results()[0]
 
 
@@ -216,6 +267,18 @@ def _check_transport(
     if not (frame[:, 2] > 0).all():
         raise ValueError(f"frame must have a positive scale, got {frame[:, 2].min()}")
     return frame
+
+
+def _check_lag(checks: ArrayChecks, deposit_idx: Ints, direction: Floats, lag: Floats, taps: Floats) -> int:
+    """Check what `lag_operator` and its adjoint share; give the number of taps."""
+    checks.ints("deposit_idx", deposit_idx, "N")
+    checks.floats("direction", direction, "N", 2)
+    checks.floats("lag", lag, "N", 2)
+    checks.floats("taps", taps, 2, "K")
+    size = taps.shape[1]
+    if size < 3 or size % 2 == 0:
+        raise ValueError(f"taps must have shape (2, K) with K odd and at least 3, got {taps.shape}")
+    return size
 
 
 def _check_splat(

@@ -21,6 +21,7 @@ from evqr_kernels.warp_backend import (
     align,
     code,
     lag,
+    lag_adjoint,
     motion,
     pose,
     render,
@@ -44,7 +45,9 @@ class WarpBackend:
     splat_events = staticmethod(splat.splat_events)
     splat_events_adjoint = staticmethod(splat_adjoint.splat_events_adjoint)
     deposit_events = staticmethod(lag.deposit_events)
+    deposit_events_adjoint = staticmethod(lag_adjoint.deposit_events_adjoint)
     lag_operator = staticmethod(lag.lag_operator)
+    lag_operator_adjoint = staticmethod(lag_adjoint.lag_operator_adjoint)
     motion_correlation = staticmethod(motion.motion_correlation)
     reduce_image = staticmethod(templates.reduce_image)
     correlate_templates = staticmethod(templates.correlate_templates)
@@ -103,15 +106,19 @@ class WarpBackend:
     def needs_compile(self, device: str = "cpu", kernels: KernelSet = DEFAULT_KERNELS) -> bool:
         """Whether some of the kernels are not yet in this machine's cache, so that `load` takes seconds."""
         require_device(self, device)
-        block = 1 if device == "cpu" else None
-        names = (module.get_module_identifier(block) for module in _modules(kernels, device))
-        return not all(os.path.isdir(os.path.join(str(wp.config.kernel_cache_dir), name)) for name in names)
+        return not all(is_compiled(module, device) for module in _modules(kernels, device))
 
     def load(self, device: str = "cpu", kernels: KernelSet = DEFAULT_KERNELS) -> None:
         """Compile or load kernels (float32); call it before threads start."""
         require_device(self, device)
         for module in _modules(kernels, device):
             wp.load_module(module, device=device)
+
+
+def is_compiled(module: wp.Module, device: str) -> bool:
+    """Whether a module, as it is now, is in this machine's cache."""
+    name = module.get_module_identifier(1 if device == "cpu" else None)  # the block size is part of the hash
+    return os.path.isdir(os.path.join(str(wp.config.kernel_cache_dir), name))
 
 
 def _modules(kernels: KernelSet, device: str) -> list[wp.Module]:

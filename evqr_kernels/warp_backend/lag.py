@@ -16,8 +16,7 @@ Rows first: ``along = sum_p b * deposit_p - lag_p d_x b' * deposit_p`` and
 ``across = sum_p -lag_p d_y b * deposit_p``; then columns, ``image = b * along + b' * across``.  Cells nearer
 to the border than the taps reach are 0.
 
-Adjoint of the deposit in the weights: ``adj_w_i = sum_x adj_p(x) T(x - c_i)``; the operator's is itself with
-slopes negated.
+The adjoints are in ``lag_adjoint.py``.
 """
 
 from functools import cache

@@ -77,6 +77,11 @@ def deposit_events(rng, dtype):
     return Call("deposit_events", [*events, motion, frame], [filled((B, 2, Y, X), dtype, 0.5)])
 
 
+def deposit_events_adjoint(rng, dtype):
+    inputs = [*deposit_events(rng, dtype).inputs, rng.normal(size=(B, 2, Y, X)).astype(dtype)]
+    return Call("deposit_events_adjoint", inputs, [filled(300, dtype)])
+
+
 def lag_operator(rng, dtype):
     deposit = rng.normal(size=(B, 2, Y, X)).astype(dtype)
     angle = rng.uniform(0, 6, 3)
@@ -85,6 +90,12 @@ def lag_operator(rng, dtype):
     taps = rng.normal(size=(2, 5)).astype(dtype)
     inputs = [deposit, np.array([2, 0, 2], np.int32), direction, lag, taps]
     return Call("lag_operator", inputs, [filled((3, 2, Y, X), dtype), filled((3, Y, X), dtype)], scratch=1)
+
+
+def lag_operator_adjoint(rng, dtype):
+    inputs = [*lag_operator(rng, dtype).inputs[1:], rng.normal(size=(3, Y, X)).astype(dtype)]
+    outputs = [filled((3, 2, Y, X), dtype), filled((B, 2, Y, X), dtype)]
+    return Call("lag_operator_adjoint", inputs, outputs, scratch=1)
 
 
 def motion_correlation(rng, dtype, radius=5):
@@ -200,7 +211,9 @@ CALLS = [
     splat_events_wide,
     splat_events_adjoint,
     deposit_events,
+    deposit_events_adjoint,
     lag_operator,
+    lag_operator_adjoint,
     motion_correlation,
     reduce_image,
     correlate_templates,

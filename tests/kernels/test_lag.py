@@ -1,5 +1,7 @@
 """Laws of deposits and of the lag operator."""
 
+from itertools import pairwise
+
 import numpy as np
 import pytest
 
@@ -110,3 +112,94 @@ def test_deposits_on_small_images(shape, placed, spec, dtype, rng):
     call.inputs[:2] = [(column / 6).astype(dtype) for column in call.inputs[:2]]
     call.outputs = [filled((cases.B, 2, *shape), dtype, 0.5)]
     assert_close(*call.run(placed), *call.run(spec))
+
+
+def test_a_deposit_keeps_the_mass_of_its_window(placed, dtype, rng):
+    """ON on the first image, OFF on the second; the window without events stays as it was."""
+    call = cases.deposit_events(rng, dtype)
+    x, y, _, weight, ptr, motion, frame = call.inputs
+    x[:], y[:] = rng.uniform(4, 20, (2, len(x)))
+    motion[:] = 0
+    frame[:] = [0, 0, 1]
+    call.outputs[0][:] = 0
+    (deposit,) = call.run(placed)
+    window = np.repeat(np.arange(cases.B), np.diff(ptr))
+    for image, own in ((0, weight > 0), (1, weight < 0)):
+        mass = np.bincount(window, np.where(own, weight, 0), minlength=cases.B)
+        np.testing.assert_allclose(deposit[:, image].sum(axis=(1, 2), dtype=float), mass, atol=1e-4)
+    assert not deposit[1].any()
+
+
+def test_operator_on_one_deposit_after_another(placed, dtype, rng):
+    """Images do not see each other."""
+    call = cases.lag_operator(rng, dtype)
+    (together,) = call.run(placed)
+    for n in range(3):
+        alone = cases.lag_operator(rng, dtype)
+        alone.inputs = [call.inputs[0], *(array[n : n + 1] for array in call.inputs[1:4]), call.inputs[4]]
+        alone.outputs = [output[n : n + 1] for output in call.outputs]
+        assert_close(
+            alone.run(placed)[0], together[n : n + 1], tolerance=1e-15 if placed.device == "cpu" else None
+        )
+
+
+def test_operator_is_linear_in_the_deposit(placed, dtype, rng):
+    call = cases.lag_operator(rng, dtype)
+    first = call.inputs[0]
+    second = rng.normal(size=first.shape).astype(dtype)
+    images = []
+    for deposit in (first, second, first - 3 * second):
+        call.inputs[0] = deposit
+        images += call.run(placed)
+    assert_close(images[0] - 3 * images[1], images[2])
+
+
+def test_without_lag_the_operator_is_the_blur(placed, dtype, rng):
+    call = cases.lag_operator(rng, dtype)
+    call.inputs[3][:] = 0
+    (image,) = call.run(placed)
+    deposit, deposit_idx, _, _, taps = call.inputs
+    windows = np.lib.stride_tricks.sliding_window_view(deposit.sum(axis=1)[deposit_idx], (5, 5), axis=(1, 2))
+    blurred = np.einsum("nyxji,j,i->nyx", windows, taps[0], taps[0])
+    assert_close(image[:, 2:-2, 2:-2], blurred)
+
+
+def test_order_of_events_does_not_matter_to_the_deposit(placed, dtype, rng):
+    call = cases.deposit_events(rng, dtype)
+    first = call.run(placed)
+    x, y, t, weight, ptr, *others = call.inputs
+    order = np.concatenate([rng.permutation(np.arange(a, b)) for a, b in pairwise(ptr)])
+    call.inputs = [x[order], y[order], t[order], weight[order], ptr, *others]
+    assert_close(*call.run(placed), *first)
+
+
+@pytest.mark.parametrize("backend", ["numpy", "warp"])
+@pytest.mark.parametrize("sign", [1.0, -1.0])
+def test_a_lagged_line_becomes_symmetric(backend, sign):
+    """Events of a line on pixels whose delays are exponential: the operator, given their mean, centres it.
+
+    A pixel that lags by ``lag`` cells is late by -lag ln u; the events of a line at column 30 that moves
+    along +x trail it by so much.
+    """
+    lag, line, count = 3.0, 30.0, 4000
+    quantiles = (np.arange(count) + 0.5) / count
+    x = line + lag * np.log(quantiles)
+    y, t = np.full(count, 6.0), np.zeros(count)
+    ptr, motion = np.array([0, count], np.int32), np.array([[1.0, 0.0]])
+    deposit = evqr_kernels.deposit_events(
+        x, y, t, np.full(count, sign), ptr, motion, shape=(13, 48), backend=backend
+    )
+    steps = np.arange(-6, 7)
+    blur = np.exp(-0.5 * (steps / 1.5) ** 2)
+    taps = np.stack([blur / blur.sum(), steps * blur / (steps * steps * blur).sum()])
+
+    def asymmetry(lags):
+        lags, direction = np.array([lags]), np.array([[1.0, 0.0]])
+        image = evqr_kernels.lag_operator(
+            deposit, np.zeros(1, np.int32), direction, lags, taps, backend=backend
+        )
+        around = sign * image[0, 6, 20:41]
+        return np.abs(around - around[::-1]).max() / around.max()
+
+    own = (lag, 0.0) if sign > 0 else (0.0, lag)
+    assert asymmetry(own) < 0.05 < 0.3 < asymmetry(own[::-1])

@@ -26,6 +26,14 @@ GOOD = {
     "splat_events_adjoint": ([f32(E), f32(E), f32(E), f32(E), PTR, f32(B, 2), f32(B, Y, X)], {}),
     "deposit_events": ([f32(E), f32(E), f32(E), f32(E), PTR, f32(B, 2)], {"shape": (Y, X)}),
     "lag_operator": ([f32(B, 2, Y, 21), np.zeros(3, np.int32), f32(3, 2), f32(3, 2), f32(2, 5)], {}),
+    "deposit_events_adjoint": (
+        [f32(E), f32(E), f32(E), f32(E), PTR, f32(B, 2), f32(B, 2, Y, X) + 1],
+        {},
+    ),
+    "lag_operator_adjoint": (
+        [np.zeros(3, np.int32), f32(3, 2), f32(3, 2), f32(2, 5) + 1, f32(3, Y, X) + 1],
+        {"deposits": B},
+    ),
     "motion_correlation": ([f32(B, Y, X), f32(B, Y, X)], {"radius": 2}),
     "reduce_image": ([f32(B, Y, X)], {"ratio": 1.5}),
     "correlate_templates": ([f32(B, Y, X), f32(5, 5, 8), f32(5, 5), f32(B) + 1], {}),
@@ -89,8 +97,12 @@ def test_results_are_those_of_the_backend(op, rng, spec):
     options = options.get(op, {"radius": 5} if op == "motion_correlation" else {})
     if op.startswith("splat"):
         options = {"lag": arrays.pop(6), "frame": arrays.pop(6)}
+    if op.startswith("deposit"):
+        options = {"frame": arrays.pop(6)}
     if op == "deposit_events":
-        options = {"frame": arrays.pop(6), "shape": made.outputs[0].shape[2:]}
+        options["shape"] = made.outputs[0].shape[2:]
+    if op == "lag_operator_adjoint":
+        options = {"deposits": cases.B}
     if op.startswith("sample"):
         options = {"active": arrays.pop(3)}
     if op in ("bin_events", "splat_events", "render_affine"):
@@ -178,6 +190,16 @@ BAD = [
     ("lag_operator", {"arg0": f32(B, 2, Y, 20)}, ValueError, "at least 16 + K = 21 wide, got 20"),
     ("lag_operator", {"arg4": f32(2, 4)}, ValueError, "with K odd and at least 3, got (2, 4)"),
     ("lag_operator", {"arg1": PTR}, ValueError, "deposit_idx must be 0 to 1, got 0 to 10"),
+    (
+        "deposit_events_adjoint",
+        {"arg6": f32(B, Y, X)},
+        ValueError,
+        "adj_deposit must have shape (B, 2, Y, X)",
+    ),
+    ("lag_operator_adjoint", {"arg3": f32(2, 1)}, ValueError, "with K odd and at least 3, got (2, 1)"),
+    ("lag_operator_adjoint", {"arg4": f32(B, Y, X)}, ValueError, "adj_image must have shape (N, Y, X)"),
+    ("lag_operator_adjoint", {"deposits": -1}, ValueError, "deposits must be at least 0, got -1"),
+    ("lag_operator_adjoint", {"arg0": PTR}, ValueError, "deposit_idx must be 0 to 1, got 0 to 10"),
     ("motion_correlation", {"radius": -1}, ValueError, "radius must be at least 0, got -1"),
     ("motion_correlation", {"arg1": f32(B, Y, X + 1)}, ValueError, "B = 2, Y = 9, X = 12, got (2, 9, 13)"),
     ("reduce_image", {"ratio": 0.5}, ValueError, "ratio must be at least 1.0, got 0.5"),

@@ -97,11 +97,11 @@ def test_contrast_of_the_other_sign_changes_nothing(workspace):
 
 
 def test_hot_pixels_do_not_fool_it(workspace):
-    """40 pixels that fire every 7 us: they outnumber an edge's pixels by far, and stand still."""
+    """100 pixels that fire every 2 us: they outnumber an edge's pixels by far, and stand still."""
     made, velocity = small(direction=50.0)
     rng, events = np.random.default_rng(3), made.events
-    count, duration = 40, int(events.t[-1]) + 1
-    each = duration // 7
+    count, duration = 100, int(events.t[-1]) + 1
+    each = duration // 2
     t = np.concatenate([events.t, rng.integers(0, duration, count * each)])
     x = np.concatenate([events.x, np.repeat(rng.integers(0, events.width, count), each).astype(np.uint16)])
     y = np.concatenate([events.y, np.repeat(rng.integers(0, events.height, count), each).astype(np.uint16)])
@@ -132,7 +132,9 @@ def test_an_answer_is_the_same_every_time(workspace):
 
 @pytest.mark.parametrize("count", [5_000, 50_000, 400_000])
 def test_noise_does_not_move(count, workspace):
-    assert find(noise(count, 60_000), workspace=workspace) is None
+    events = noise(count, 60_000)
+    assert find(events, workspace=workspace) is None
+    assert estimate_motion(make_window(events, 0, 20_000), CONFIG, workspace=workspace) is None
 
 
 @pytest.mark.parametrize("count", [0, 1, 150])

@@ -1,6 +1,5 @@
 """Windows: times relative to the middle, and the same window however a stream is cut into chunks."""
 
-import gc
 import itertools
 import weakref
 
@@ -66,7 +65,7 @@ def test_columns_are_float32_and_keep_their_values():
         np.testing.assert_array_equal(getattr(window, column), getattr(events, column)[20:50])
 
 
-@pytest.mark.parametrize("start", [0, -5_000_000, 1_633_953_690_975_950, 2**53])
+@pytest.mark.parametrize("start", [0, -5_000_000, 1_633_953_690_975_950, 2**53, 2**62])
 def test_stamps_of_any_size_lose_nothing(start):
     """Float32 holds half a microsecond up to 8 s, so a window's own times are exact wherever it lies."""
     offsets = [0, 1, 2, 499, 500, 501, 998, 999]
@@ -90,9 +89,9 @@ def test_keep_takes_what_the_mask_says_and_the_same_bounds():
 
 @settings(max_examples=80, deadline=None)
 @given(
-    gaps=st.lists(st.integers(0, 30), min_size=1, max_size=60),
+    gaps=st.lists(st.integers(0, 9), min_size=30, max_size=60),
     cuts=st.lists(st.integers(0, 60), max_size=8),
-    wanted=st.lists(st.tuples(st.integers(-20, 900), st.integers(1, 400)), min_size=1, max_size=6),
+    wanted=st.lists(st.tuples(st.integers(-20, 250), st.integers(1, 150)), min_size=1, max_size=6),
 )
 def test_chunks_of_any_size_give_the_same_windows(gaps, cuts, wanted):
     events = events_at(np.cumsum(gaps))
@@ -152,7 +151,6 @@ def test_chunks_that_are_over_are_let_go():
     for start in range(0, 2000, 50):
         buffer.forget(start)
         buffer.window(start, start + 50)
-        gc.collect()
         assert sum(chunk() is not None for chunk in alive) <= 3
     assert buffer.seen == 2000
 

@@ -1,0 +1,67 @@
+"""Hand-written adjoints of deposits and of the lag operator, by dot product, and their edges."""
+
+import numpy as np
+import pytest
+
+from . import cases
+from .helpers import assert_adjoint, filled
+
+
+def test_deposit_in_the_weights(placed, dtype, rng):
+    """Linear in the weights while their signs stay; events off the image and at no place add nothing."""
+    call, back = cases.deposit_events(rng, dtype), cases.deposit_events_adjoint(rng, dtype)
+    call.inputs[0][7] = np.nan
+    call.outputs[0][:] = 0
+    back.inputs[:7] = call.inputs
+    (deposit,), (adj_weight,) = call.run(placed), back.run(placed)
+    assert_adjoint(deposit, back.inputs[7], call.inputs[3], adj_weight)
+    assert adj_weight[7] == 0
+
+
+def test_deposit_in_one_weight_reads_its_own_image(placed, dtype):
+    """The derivative is the image of the event's sign, read between its cells."""
+    place, none = np.full(2, 2.25, dtype), np.zeros(2, dtype)
+    adj = np.zeros((1, 2, 6, 6), dtype)
+    adj[0, 0] = np.arange(6)
+    adj[0, 1] = -10 * np.arange(6)[:, None]
+    inputs = [place, place + 1, none, np.array([2, -3], dtype), np.array([0, 2], np.int32)]
+    inputs += [np.zeros((1, 2), dtype), np.array([[0, 0, 1]], dtype), adj]
+    (adj_weight,) = placed("deposit_events_adjoint", inputs, [filled(2, dtype)])
+    np.testing.assert_allclose(adj_weight, [2.25, -32.5], rtol=1e-6)
+
+
+@pytest.mark.parametrize("bad", [-1e9, 1e9, np.nan, np.inf])
+def test_weights_of_events_off_the_image(bad, placed, dtype, rng):
+    back = cases.deposit_events_adjoint(rng, dtype)
+    back.inputs[1][:] = bad
+    np.testing.assert_array_equal(back.run(placed)[0], 0)
+
+
+def test_weights_of_no_events(placed, dtype, rng):
+    back = cases.deposit_events_adjoint(rng, dtype)
+    back.inputs[:5] = [*(column[:0] for column in back.inputs[:4]), np.zeros(cases.B + 1, np.int32)]
+    back.outputs[0] = filled(0, dtype)
+    assert back.run(placed)[0].shape == (0,)
+
+
+@pytest.mark.parametrize("width", [21, 36, 37])
+@pytest.mark.parametrize("height", [5, 6, 23])
+def test_operator_in_the_deposit(height, width, placed, dtype, rng):
+    """Taps without symmetry, two images of one deposit, one deposit of no image; the border counts too."""
+    call, back = cases.lag_operator(rng, dtype), cases.lag_operator_adjoint(rng, dtype)
+    call.inputs[0] = rng.normal(size=(cases.B, 2, height, width)).astype(dtype)
+    call.outputs = [filled((3, 2, height, width), dtype), filled((3, height, width), dtype)]
+    adj_image = rng.normal(size=(3, height, width)).astype(dtype)
+    back.inputs = [*call.inputs[1:], adj_image]
+    back.outputs = [filled((3, 2, height, width), dtype), filled((cases.B, 2, height, width), dtype)]
+    (image,), (adj_deposit,) = call.run(placed), back.run(placed)
+    assert_adjoint(image, adj_image, call.inputs[0], adj_deposit)
+    np.testing.assert_array_equal(adj_deposit[1], 0)
+
+
+@pytest.mark.parametrize("height", [1, 4])
+def test_images_that_are_all_border(height, placed, dtype, rng):
+    back = cases.lag_operator_adjoint(rng, dtype)
+    back.inputs[4] = back.inputs[4][:, :height].copy()
+    back.outputs = [output[:, :, :height].copy() for output in back.outputs]
+    np.testing.assert_array_equal(back.run(placed)[0], 0)
