@@ -22,7 +22,7 @@ from evqr.initial.finder import find_hypotheses, find_peaks
 from evqr.initial.motion import Motion, estimate_motion, find_motion, window_length_us
 from evqr.initial.pose import Candidate, screen
 from evqr.lag import estimate_lag
-from evqr.region import Region, deposit, events_near, region_around, sharpen
+from evqr.region import Region, deposit, region_around, sharpen
 from evqr.stage_one import Alignment, align, fine_levels, refine_from_cold
 from evqr.stage_two import NormalEquations, normal_equations
 from evqr.windows import EventBuffer, Window
@@ -123,7 +123,6 @@ class _Closer:
 
     version: int
     region: Region
-    events: Window
     image: Any
     found: Alignment
     iterations: int = 0
@@ -242,7 +241,7 @@ class Solver:
             closest = max(closest, closer.score)
             if closer.score < cfg.stage_one.min_score:
                 continue
-            found = self._settle(closer, velocity, lag_us, iterations)
+            found = self._settle(window, closer, velocity, lag_us, iterations)
             if best is None or found.score > best.score:
                 best = found
             if best.score >= GOOD_SCORE:
@@ -265,12 +264,11 @@ class Solver:
             region = region_around(
                 candidate.pose, size_of(candidate.version), cfg, margin_px=SEARCH_MARGIN_PX
             )
-            near = events_near(window, velocity, region)
-            image = self._image(near, velocity, region, lag_us)
+            image = self._image(window, velocity, region, lag_us)
             found = refine_from_cold(
                 image, region.from_px @ candidate.pose, candidate.version, cfg, workspace=self.workspace
             )
-            looks.append(_Closer(candidate.version, region, near, image, found))
+            looks.append(_Closer(candidate.version, region, image, found))
             if looks[-1].score >= GOOD_SCORE:
                 break
         best = max(looks, key=lambda look: look.score)
@@ -282,6 +280,7 @@ class Solver:
 
     def _settle(
         self,
+        window: Window,
         closer: _Closer,
         velocity: NDArray[np.float64],
         lag_us: tuple[float, float] | None,
@@ -293,7 +292,7 @@ class Solver:
             lag_us = (0.0, 0.0)
         if lag_us is not None and closer.image is not None:
             return self._sighting(
-                closer.events,
+                window,
                 closer.image,
                 found,
                 velocity,
@@ -305,7 +304,7 @@ class Solver:
         if lag_us is None:
             with self.clock("lag"):
                 lag_px, found = estimate_lag(
-                    closer.events,
+                    window,
                     velocity,
                     closer.region,
                     found.pose[0],
@@ -316,7 +315,7 @@ class Solver:
             per_us = float(np.hypot(*velocity)) * 1e-6
             lag_us = (lag_px[0] / per_us, lag_px[1] / per_us)
         return self._measure(
-            closer.events, velocity, closer.region, found.pose[0], closer.version, lag_us, iterations
+            window, velocity, closer.region, found.pose[0], closer.version, lag_us, iterations
         )
 
     def _image(
@@ -335,9 +334,8 @@ class Solver:
         with self.clock("stage_one"):
             pose = seen.pose_at(window.middle_us)
             region = region_around(pose, seen.size, self.config.stage_one)
-            near = events_near(window, seen.velocity, region)
         found = self._measure(
-            near, seen.velocity, region, region.from_px @ pose, seen.version, seen.lag_us, 0
+            window, seen.velocity, region, region.from_px @ pose, seen.version, seen.lag_us, 0
         )
         return found if found.score >= self.config.stage_one.min_score else None
 

@@ -66,11 +66,13 @@ class WarpBackend:
         wp.config.log_level = wp.LOG_ERROR
         with _without_driver_warning():
             wp.init()
+        self._cpu = wp.get_device("cpu")
+        self._names = tuple(device.alias for device in wp.get_devices())
         wp.config.log_level = max(level, wp.LOG_WARNING)  # each load of a module would be a line
 
     def devices(self) -> tuple[str, ...]:
         """Names of the devices that this machine has; "cpu" first."""
-        return tuple(device.alias for device in wp.get_devices())
+        return self._names
 
     def empty(self, shape: tuple[int, ...], dtype: DTypeLike, device: str) -> wp.array:
         """Make an array with undefined contents."""
@@ -81,7 +83,13 @@ class WarpBackend:
         """Bring a NumPy array to the device; on the CPU it is the same memory."""
         require_device(self, device)
         array = np.ascontiguousarray(array)
-        return wp.array(array, dtype=_DTYPES[array.dtype], device=device, copy=False)
+        if device != "cpu":
+            return wp.array(array, dtype=_DTYPES[array.dtype], device=device)
+        # half the time that Warp takes to look the array over, some fifty times a window
+        address = array.__array_interface__["data"][0]
+        wrapped = wp.array(ptr=address, dtype=_DTYPES[array.dtype], shape=array.shape, device=self._cpu)
+        wrapped._ref = array  # keeps the memory for as long as the wrapper lives, as Warp does
+        return wrapped
 
     def to_host(self, array: wp.array) -> NDArray[Any]:
         """Bring an array back; on the CPU it is the same memory.  Waits for the device."""
