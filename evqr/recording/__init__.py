@@ -91,6 +91,8 @@ def _head(path: str) -> bytes:
         raise RecordingError(f"{path}: no such file; check the path")
     if place.is_dir():
         raise RecordingError(f"{path}: is a directory; name a recording in it")
+    if not place.is_file():
+        raise RecordingError(f"{path}: is a pipe or a device, and files are read; save it to a file first")
     try:
         with open(path, "rb") as file:
             head = file.read(HEAD_BYTES)

@@ -39,8 +39,9 @@ def require_columns(names: Iterable[str], name: str, where: str) -> dict[str, st
     found = find_columns(names)
     missing = [column for column in ALIASES if column not in found]
     if missing:
+        has = ", ".join(names[:12]) + (", ..." if len(names) > 12 else "")
         raise RecordingError(
-            f"{name}: {where} lacks column {' and '.join(missing)} (has {', '.join(names) or 'nothing'});"
+            f"{name}: {where} lacks column {', '.join(missing)} (has {has or 'nothing'});"
             " an event recording needs t, x, y and p"
         )
     return found
@@ -116,8 +117,8 @@ class ColumnChecker:
             # Rounded: decimal seconds have binary tails (0.6367649989999999), and truncation would lose 1 us.
             t_us = np.rint(t.astype(np.float64) * (1_000_000 / per_second)).astype(np.int64)
         elif self.unit == "ns":
-            t_us = t.astype(np.int64)
-            t_us = t_us // 1000 + (t_us % 1000 >= 500)
+            t_ns = t.astype(np.uint64)  # stamps of 64 bits without sign fit once they are divided
+            t_us = (t_ns // 1000 + (t_ns % 1000 >= 500)).astype(np.int64)
         else:
             t_us = t.astype(np.int64, copy=False)
             if per_second != 1_000_000:

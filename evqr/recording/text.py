@@ -53,7 +53,13 @@ class TextSource(Source):
                     block = list(islice(file, chunk_events))
                     lines = [line for line in block if not _is_blank(line)]
                     # An empty list would make NumPy warn.
-                    table = np.loadtxt(lines, row, comments=None, delimiter=comma, ndmin=1) if lines else None
+                    try:
+                        table = (
+                            np.loadtxt(lines, row, comments=None, delimiter=comma, ndmin=1) if lines else None
+                        )
+                    except ValueError:
+                        _refuse_what_is_no_event(block, done, self.name)
+                        raise
                 if not block:
                     return
                 done += len(block)
@@ -82,11 +88,23 @@ def _read_head(file: Iterator[str], path: str) -> _Head:
         elif len(words) == 4 and all(_is_number(word) for word in words):
             return _Head(number, sensor, order, comma, words[order.index("t")].isdecimal())
         else:
-            raise RecordingError(
-                f"{path}: line {number + 1} is no event: {line.strip()[:60]!r};"
-                " a text recording has t x y p on each line"
-            )
+            raise _no_event(path, number + 1, line)
     raise RecordingError(f"{path}: the recording is empty: text without a single event")
+
+
+def _refuse_what_is_no_event(block: list[str], done: int, path: str) -> None:
+    """Raise for the first line that is not four numbers; ``done`` lines came before the block."""
+    for number, line in enumerate(block, done + 1):
+        words = line.replace(",", " ").split()
+        if not _is_blank(line) and (len(words) != 4 or not all(map(_is_number, words))):
+            raise _no_event(path, number, line)
+
+
+def _no_event(path: str, number: int, line: str) -> RecordingError:
+    return RecordingError(
+        f"{path}: line {number:,} is no event: {line.strip()[:60]!r};"
+        " a text recording has t x y p on each line"
+    )
 
 
 def _is_blank(line: str) -> bool:

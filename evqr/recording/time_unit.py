@@ -55,9 +55,10 @@ def decide_time_unit(t: NDArray, sensor: tuple[int, int], name: str) -> Declared
         reason = finding if chosen[0] in usual else f"{finding}, but {' and '.join(usual)} impossible"
         return DeclaredUnit(chosen[0], f"{reason}; {rate(chosen[0]):.3g} events per pixel and second")
     rates = ", ".join(f"{rate(u):.2g} in {u}" for u in expected)
+    judged = f"{rates} per pixel and second" if rates else "impossible in every unit"
     raise RecordingError(
         f"{name}: unit of the time stamps undecidable: {finding}, {t.min()} to {t.max()}, {len(t):,} events"
-        f" ({rates or 'no unit'} per pixel and second); pass --time-unit us|ms|s|ns"
+        f" ({judged}); pass --time-unit us|ms|s|ns"
     )
 
 

@@ -50,6 +50,12 @@ def test_missing_directory_and_empty(tmp_path):
     assert "empty (0 bytes)" in error_of(tmp_path / "a")
 
 
+@pytest.mark.skipif(not hasattr(os, "mkfifo"), reason="this system has no named pipes")
+def test_a_pipe_does_not_block(tmp_path):
+    os.mkfifo(tmp_path / "a")
+    assert "is a pipe or a device" in error_of(tmp_path / "a")
+
+
 def test_unreadable(tmp_path, events, monkeypatch):
     write_h5(tmp_path / "a", events)
 
@@ -98,7 +104,16 @@ def test_text_that_is_no_recording(tmp_path):
     assert "line 1 is no event" in error_of(tmp_path / "a")
     (tmp_path / "a").write_text("time x y on\n1 2 3 1\n")
     assert "lacks column p (has time, x, y, on)" in error_of(tmp_path / "a")
-    (tmp_path / "a").write_text("1 2 3 1\n" * 5 + "2 2 nothing 1\n")
+    for number, line in ((6, "2 2 nothing 1"), (6, "2 2"), (7, "# a remark\n2 2 2 1 2")):
+        (tmp_path / "a").write_text("1 2 3 1\n" * 5 + line + "\n")
+        expected = f"line {number} is no event: {line.splitlines()[-1]!r}"
+        for chunk_events in (2, 1 << 20):
+            assert expected in error_of(
+                tmp_path / "a", sensor=SENSOR, time_unit="us", chunk_events=chunk_events
+            )
+    (tmp_path / "a").write_text(" ".join("abcdefghijklmno") + "\n")
+    assert "(has a, b, c, d, e, f, g, h, i, j, k, l, ...)" in error_of(tmp_path / "a")
+    (tmp_path / "a").write_text("1 2 3 1\n" + f"{10**30} 2 3 1\n")
     assert "damaged or truncated" in error_of(tmp_path / "a", sensor=SENSOR, time_unit="us")
 
 
@@ -124,7 +139,7 @@ def test_interrupted_hdf5_has_declared_more_than_it_wrote(tmp_path):
 def test_hdf5_without_events(tmp_path):
     with h5py.File(tmp_path / "a", "w") as file:
         file["images"] = np.zeros((3, 3))
-    assert "lacks column t and x and y and p (has images)" in error_of(tmp_path / "a")
+    assert "lacks column t, x, y, p (has images)" in error_of(tmp_path / "a")
     with h5py.File(tmp_path / "a", "w") as file:
         file["events/t"] = file["events/x"] = file["events/polarity"] = np.zeros(3)
     assert "/events lacks column y (has polarity, t, x)" in error_of(tmp_path / "a")
@@ -183,7 +198,7 @@ def test_npz_and_npy_without_named_columns(tmp_path):
     np.save(tmp_path / "a.npy", np.zeros((5, 4)))
     assert "shape (5, 4), which leaves open which column is which" in error_of(tmp_path / "a.npy")
     np.save(tmp_path / "a.npy", np.zeros(5))
-    assert "lacks column t and x" in error_of(tmp_path / "a.npy")
+    assert "lacks column t, x, y, p" in error_of(tmp_path / "a.npy")
     np.savez(tmp_path / "a.npz", t=np.zeros(3), x=np.zeros(3), y=np.zeros(3))
     assert "lacks column p (has t, x, y)" in error_of(tmp_path / "a.npz")
     assert "without named columns" in error_of(np.zeros((5, 4)))
@@ -248,6 +263,12 @@ def test_overflow_counts_the_unit():
     with open_recording(arrays(t=t), sensor=SENSOR, time_unit="us") as recording:
         assert recording.read().t[0] == 10**13
     assert "overflows 64-bit microseconds if in s" in error_of(arrays(t=t), sensor=SENSOR, time_unit="s")
+
+
+def test_stamps_of_64_bits_without_sign_in_nanoseconds():
+    t = np.uint64(2**63) + np.arange(20, dtype=np.uint64) * np.uint64(1000)
+    with open_recording(arrays(t=t), sensor=SENSOR, time_unit="ns") as recording:
+        np.testing.assert_array_equal(recording.read().t, 9223372036854776 + np.arange(20))
 
 
 def test_offset_must_not_make_times_negative(tmp_path):
