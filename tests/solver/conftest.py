@@ -8,7 +8,7 @@ import pytest
 from scenes import at, corners, middle_us, window_of
 
 from evqr.config import StageOneConfig
-from evqr.region import Region, deposit, events_near, region_around, sharpen
+from evqr.region import Region, deposit, region_around, sharpen
 from evqr.windows import Window
 from evqr.workspace import Workspace
 from evqr_kernels.backend import get_backend
@@ -24,7 +24,8 @@ class Seen:
     modules : (r, r)          truth, -1 dark, +1 light
     pose : (3, 3)             truth, code coordinates to px
     velocity : (2,)           truth [px/s]
-    region, events, image     around the code; the image is on the device
+    window                    of events, all of them
+    region, image             around the code; the image is on the device
     """
 
     version: int
@@ -33,7 +34,7 @@ class Seen:
     velocity: np.ndarray
     module_px: float
     region: Region
-    events: Window
+    window: Window
     image: Any
 
     @property
@@ -70,8 +71,7 @@ def see(workspace):
         pose, velocity = at(truth, "H", time), at(truth, "velocity", time)
         window = window_of(made, travel_px, middle=time)
         region = region_around(pose, len(truth["modules"]), cfg, margin_px=4.0)
-        events = events_near(window, velocity, region)
-        cells = deposit(events, velocity, region, workspace=workspace)
+        cells = deposit(window, velocity, region, workspace=workspace)
         image = sharpen(cells, velocity, region, [(0.0, 0.0)], workspace=workspace)
         return Seen(
             version=truth["version"],
@@ -80,7 +80,7 @@ def see(workspace):
             velocity=velocity,
             module_px=made.scene.codes[0].module_px,
             region=region,
-            events=events,
+            window=window,
             # a copy: two that are seen may be used side by side
             image=workspace.put(workspace.get(image).copy()),
         )

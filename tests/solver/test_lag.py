@@ -17,7 +17,7 @@ def estimated(made, workspace, see):
     seen = see(made)
     without = align(seen.image, seen.in_cells[None], 2, fine_levels(CONFIG), CONFIG, workspace=workspace)
     lag_px, found = estimate_lag(
-        seen.events, seen.velocity, seen.region, without.pose[0], 2, CONFIG, workspace=workspace
+        seen.window, seen.velocity, seen.region, without.pose[0], 2, CONFIG, workspace=workspace
     )
     return seen, without, np.array(lag_px), found
 
