@@ -198,7 +198,7 @@ def _backend_options(command: Callable[..., Any]) -> Callable[..., Any]:
 @click.option(
     "--vote",
     type=click.Choice(["mode", "soft", "information"]),
-    help="How windows are combined; default: the best measured.",
+    help="How windows are combined; default: information.",
 )
 @click.option(
     "--lag-us",
@@ -235,6 +235,10 @@ def read(
         )
     if each_window and picture:
         raise UsageError("--picture draws a reading of the whole recording: leave out --each-window")
+    if picture:
+        from evqr.picture import require_drawable
+
+        require_drawable(picture)
     config = _read_config(window_us=window_us, max_windows=max_windows, lag_us=lag_us, vote=vote)
     compute = {"config": config, "backend": backend, "device": device}
     told = {"sensor": sensor, "time_unit": time_unit}
@@ -458,10 +462,11 @@ def simulate(
 
     A textured object with a printed code passes an event camera; the recording holds events and truth.
     """
-    from evqr.recording import save_recording
+    from evqr.recording.writing import save_recording, writer_of
     from evqr.simulate import simulate as run_simulation
     from evqr.simulate.sensor import needs_compile
 
+    writer_of(output)  # before the work is done
     if needs_compile():
         _note(COMPILING)
     made = run_simulation(
@@ -506,10 +511,11 @@ def demo(picture: Path, backend: str, device: str, threads: int | None) -> int:
     estimated modules beside the true ones.
     """
     from evqr.demo import demo_recording, demo_truth
-    from evqr.picture import picture_events, save_picture
+    from evqr.picture import picture_events, require_drawable, save_picture
     from evqr.reader import read_codes
     from evqr.recording import open_recording
 
+    require_drawable(picture)
     _prepare(backend, device)
     with demo_recording() as path, open_recording(path) as recording:
         with _progress_bar(path.name) as progress:

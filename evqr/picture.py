@@ -67,10 +67,8 @@ def save_picture(
     MissingExtra  matplotlib is not installed
     UsageError    the ending names no picture format, or the file cannot be written
     """
+    require_drawable(path)
     figure = draw_reading(events, reading, truth=truth)
-    ending = Path(path).suffix.removeprefix(".").lower()
-    if ending not in figure.canvas.get_supported_filetypes():
-        raise UsageError(f"{path}: unknown picture format {ending!r}: end the name in .png, .svg or .pdf")
     try:
         with warnings.catch_warnings():
             # A text in a script that the font lacks shows boxes here; the reading itself has it.
@@ -78,6 +76,16 @@ def save_picture(
             figure.savefig(path)
     except OSError as error:
         raise UsageError(f"{path}: cannot write the picture: {error.strerror or error}") from error
+
+
+def require_drawable(path: str | PathLike[str]) -> None:
+    """Raise what `save_picture` raises for this path whatever it is to draw, before anything is computed."""
+    path = Path(path)
+    ending = path.suffix.removeprefix(".").lower()
+    if ending not in _figure_class()().canvas.get_supported_filetypes():
+        raise UsageError(f"{path}: unknown picture format {ending!r}: end the name in .png, .svg or .pdf")
+    if not path.parent.is_dir():
+        raise UsageError(f"{path}: cannot write the picture: no such folder")
 
 
 def draw_reading(
@@ -109,10 +117,7 @@ def draw_reading(
     MissingExtra  matplotlib is not installed
     ValueError    ``truth`` has another shape than the estimate
     """
-    try:
-        from matplotlib.figure import Figure
-    except ImportError as error:
-        raise MissingExtra("drawing a picture needs matplotlib: pip install 'evqr[plot]'") from error
+    figure_class = _figure_class()
     if truth is not None and truth.shape != reading.estimate.shape:
         raise ValueError(f"truth must have shape {reading.estimate.shape}, got {truth.shape}")
 
@@ -120,7 +125,7 @@ def draw_reading(
     aspect = events.width / events.height
     above = (inside - GAP) / (aspect + 1)  # the view, and a square beside it
     below = (inside - 2 * GAP) / 3
-    figure = Figure(
+    figure = figure_class(
         figsize=(WIDTH, HEAD + TITLE + above + LEGEND + TITLE + below + LEGEND), dpi=110, facecolor="white"
     )
 
@@ -136,6 +141,14 @@ def draw_reading(
     _draw_estimate(estimate, reading)
     _draw_modules(signs, true, reading, truth)
     return figure
+
+
+def _figure_class() -> type[Figure]:
+    try:
+        from matplotlib.figure import Figure
+    except ImportError as error:
+        raise MissingExtra("drawing a picture needs matplotlib: pip install 'evqr[plot]'") from error
+    return Figure
 
 
 def _draw_heading(figure: Figure, reading: CodeReading) -> None:

@@ -159,7 +159,7 @@ def test_bad_places_are_one_line(tmp_path):
     events, reading = sample_results.events(), sample_results.READING
     with pytest.raises(UsageError, match=r"reading.doc: unknown picture format 'doc'"):
         picture.save_picture(tmp_path / "reading.doc", events, reading)
-    with pytest.raises(UsageError, match=r"reading.png: cannot write the picture: No such file"):
+    with pytest.raises(UsageError, match=r"reading.png: cannot write the picture: no such folder"):
         picture.save_picture(tmp_path / "nowhere" / "reading.png", events, reading)
 
 

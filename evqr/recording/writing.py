@@ -3,13 +3,13 @@
 from __future__ import annotations
 
 import os
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
-from ..errors import RecordingError
+from ..errors import RecordingError, UsageError
 from ..types import EventArray
 
 CHUNK_EVENTS = 1 << 16
@@ -32,18 +32,26 @@ def save_recording(path: str | os.PathLike[str], events: EventArray, *, truth: T
     Raises
     ------
     RecordingError   when the file cannot be written
-    ValueError       for another suffix
+    UsageError       for another suffix
     """
     path = Path(path)
-    writers = {".h5": _write_hdf5, ".hdf5": _write_hdf5, ".npz": _write_npz}
-    if path.suffix not in writers:
-        raise ValueError(f"recordings are written as {', '.join(writers)}, got {path.name!r}")
+    write = writer_of(path)
     try:
-        writers[path.suffix](path, events, truth or {})
+        write(path, events, truth or {})
     except OSError as error:
         raise RecordingError(
             f"{path}: cannot be written ({error.strerror or error}); choose another place"
         ) from error
+
+
+def writer_of(path: Path) -> Callable[[Path, EventArray, Truth], None]:
+    """What writes a recording of this name; raises `UsageError` for a suffix that is not written."""
+    writers = {".h5": _write_hdf5, ".hdf5": _write_hdf5, ".npz": _write_npz}
+    if path.suffix not in writers:
+        raise UsageError(
+            f"{path}: recordings are written as {', '.join(writers)}; end the name in one of them"
+        )
+    return writers[path.suffix]
 
 
 def _columns(events: EventArray) -> dict[str, np.ndarray]:

@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 from recording_files import HEIGHT, WIDTH, WRITERS, assert_same_events, make_events, structured
 
+from evqr.errors import UsageError
 from evqr.recording import open_recording, save_recording
 from evqr.types import EventArray
 
@@ -73,7 +74,7 @@ def test_saved_truth_has_the_layout_of_the_development_recordings(tmp_path, even
 
 
 def test_saving_refuses_other_suffixes_and_unwritable_places(tmp_path, events):
-    with pytest.raises(ValueError, match=r"written as \.h5"):
+    with pytest.raises(UsageError, match=r"written as \.h5"):
         save_recording(tmp_path / "a.csv", events)
     with pytest.raises(ValueError, match="cannot be written"):
         save_recording(tmp_path / "missing" / "a.npz", events)
