@@ -45,7 +45,7 @@ def save_recording(path: str | os.PathLike[str], events: EventArray, *, truth: T
 
 
 def writer_of(path: Path) -> Callable[[Path, EventArray, Truth], None]:
-    """What writes a recording of this name; raises `UsageError` for a suffix that is not written."""
+    """Give what writes a recording of this name; raises `UsageError` for a suffix that is not written."""
     writers = {".h5": _write_hdf5, ".hdf5": _write_hdf5, ".npz": _write_npz}
     if path.suffix not in writers:
         raise UsageError(
