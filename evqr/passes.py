@@ -34,7 +34,7 @@ SEARCH_LONGEST_US = 20_000
 """Longest time between two searches [us]: what is in view now may be slow, and a fast code may come."""
 
 SEARCH_SELDOM = 4
-"""How much less often is searched while a code is followed."""
+"""How much less often is searched while a code that was read is followed."""
 
 OUTLINE_MARGIN = 4.0
 """Modules around a followed code whose events a search does not see: its quiet zone."""
@@ -98,7 +98,8 @@ class Passes:
             self.events.forget(at_us)
             if self._progress is not None:
                 last = self._recording.t_last_us
-                self._progress(at_us - start, None if last is None else last - start)
+                done = at_us if last is None else min(at_us, last)
+                self._progress(done - start, None if last is None else last - start)
             most = self.config.max_windows
             if most is not None and self._windows >= most:
                 break
@@ -142,8 +143,6 @@ class Passes:
         for _ in range(MOST_BESIDE):
             if not isinstance(look.found, Sighting) or look.motion is None:
                 break
-            if any(look.found.lag_us):
-                self._lag_us = look.found.lag_us
             self._tracks.append(Track(look.found, look.start_us, look.end_us, self._solver, look.clock))
             self._settle(self._tracks[-1])
             look = self._look_beside(look, look.motion)
@@ -159,7 +158,8 @@ class Passes:
 
     def _step_us(self, speed: float) -> int:
         """Time between two searches [us]."""
-        travel = self.config.search_px * (SEARCH_SELDOM if self._tracks else 1)
+        sure = any(track.reading is not None for track in self._tracks)
+        travel = self.config.search_px * (SEARCH_SELDOM if sure else 1)
         step = max(self._solver.window_us(speed), round(travel / speed * 1e6))
         return min(step, SEARCH_LONGEST_US)
 
@@ -210,6 +210,8 @@ class Passes:
         """Join a code that was just read with an earlier sight of the same one."""
         if track.reading is None:
             return
+        if any(track.seen.lag_us):  # of the sensor and its light, so the next code will lag as much
+            self._lag_us = track.seen.lag_us
         for k, (earlier, index) in enumerate(self._read):
             if earlier.reading is not None and earlier.reading.text == track.reading.text:
                 middle = earlier.seen.size / 2.0

@@ -24,6 +24,9 @@ from evqr.windows import Window
 from evqr.workspace import Workspace
 
 ANGLES = 8
+FEWEST_CELLS = 24
+"""Width of the smallest level [cells]: kernels take blocks of them."""
+
 CLIP_RMS = 2.5
 """Cells are clipped at so many times the rms of the cells that have events: a hot pixel is no edge."""
 
@@ -159,7 +162,7 @@ def find_peaks(
     for module_px in _module_sizes(*sizes, cfg.scale_ratio):
         cell = module_px / cfg.cells_a_module
         height, width = math.ceil(window.height / cell), _four(math.ceil(window.width / cell))
-        if min(height, width) < 2 * cfg.half + 1:
+        if height < 2 * cfg.half + 1 or width < FEWEST_CELLS:
             break
         padded, image = _level_buffers(height, width, cfg.half, workspace)
         cells = workspace.get(image)
