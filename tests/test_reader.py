@@ -18,6 +18,8 @@ LONG = {"travel_px": 30.0}
 
 HARD = {"preset": "hard", "speed_px_ms": 8.0, "travel_px": 20.0}
 
+WIDE = {"width": 480, "height": 160}
+
 CORNER_TOLERANCE = 0.3
 """Modules: windows of 2 px of travel, with the velocity of the first of them held for half a window."""
 
@@ -253,6 +255,18 @@ def test_a_code_that_is_lost_for_a_while_is_one_reading(until_us):
     assert reading.t_last_us > until_us
 
 
+def test_something_slow_does_not_blind_the_reader():
+    """10 px of its travel take 100 ms, in which a code could pass."""
+    slow = scene(code=False, speed_px_ms=0.1, travel_px=4.0, **WIDE)
+    fast = scene(speed_px_ms=10.0, travel_px=220.0, version=1, module_px=4.0, direction=0.0, **WIDE)
+    only(read_codes(joined(slow.events, fast.events)))
+
+
+def test_a_code_right_after_something_that_looks_like_one():
+    decoy = scene(code=False, travel_px=50.0)
+    only(read_codes(joined(decoy.events, scene().events, gap_us=3_000)))
+
+
 # ---- nothing to read
 
 
@@ -277,6 +291,15 @@ def test_shuffled_events_give_nothing(events):
 @pytest.mark.parametrize("count", [1, 150, 100_000])
 def test_noise_gives_nothing(count):
     assert_nothing(read_codes(noise(count, 20_000)))
+
+
+@pytest.mark.parametrize("side", [8, 32, 60])
+def test_a_sensor_that_is_too_small_for_a_code_sees_none(side, events):
+    inside = (abs(events.x - 160.0) < side / 2) & (abs(events.y - 120.0) < side / 2)
+    part = keep(events, inside)
+    x, y = part.x - part.x.min(), part.y - part.y.min()
+    result = read_codes(EventArray(part.t, x, y, part.p, side, side))
+    assert_nothing(result)
 
 
 def test_a_recording_without_events_is_refused():
@@ -358,7 +381,9 @@ def test_progress_goes_forward_to_the_end(events):
     assert len(calls) >= 3
     assert done == sorted(done)
     assert done[0] >= 0
-    assert {call[1] for call in calls} == {events.t[-1] - events.t[0]}
+    whole = events.t[-1] - events.t[0]
+    assert {call[1] for call in calls} == {whole}
+    assert 0.5 * whole < done[-1] <= whole
 
 
 def test_threads_search_ahead_and_read_the_same():
