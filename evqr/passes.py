@@ -33,15 +33,15 @@ MOST_BESIDE = 16
 SEARCH_LONGEST_US = 20_000
 """Longest time between two searches [us]: what is in view now may be slow, and a fast code may come."""
 
-SEARCH_SELDOM = 4
+SEARCH_SELDOM = 2
 """How much less often is searched while a code that was read is followed."""
 
 OUTLINE_MARGIN = 4.0
 """Modules around a followed code whose events a search does not see: its quiet zone."""
 
-SAME_PLACE = 3.0
-"""Modules between where a lost code must be by now and where one with the same text is found, for them to be
-one."""
+SAME_PLACE = 0.5
+"""How far from where a lost code must be one with the same text may be found, for them to be one, in sizes of
+the code: two codes cannot overlap."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -92,6 +92,7 @@ class Passes:
         if start is None:
             return
         order = itertools.count()
+        search_us = start
         queue: list[tuple[int, int, Track | None]] = [(start, next(order), None)]
         while queue:
             at_us, _, track = heapq.heappop(queue)
@@ -104,17 +105,20 @@ class Passes:
             if most is not None and self._windows >= most:
                 break
             if track is None:
-                if not self.events.reaches(at_us + 1):
+                if at_us != search_us or not self.events.reaches(at_us + 1):
                     continue
-                after = self._search(at_us)
+                search_us = self._search(at_us)
                 for new in self._tracks:
                     if all(new is not entry[2] for entry in queue):
                         heapq.heappush(queue, (new.next_window(self._solver)[0], next(order), new))
-                heapq.heappush(queue, (after, next(order), None))
+                heapq.heappush(queue, (search_us, next(order), None))
             else:
                 self._follow(track)
                 if track in self._tracks:
                     heapq.heappush(queue, (track.next_window(self._solver)[0], next(order), track))
+                elif at_us < search_us:  # where one code has gone the next may be
+                    search_us = at_us
+                    heapq.heappush(queue, (search_us, next(order), None))
         for track in list(self._tracks):
             self._finish(track)
 
@@ -218,7 +222,7 @@ class Passes:
                 x, y, z = np.linalg.inv(track.seen.pose) @ (
                     earlier.seen.pose_at(track.seen.time_us) @ (middle, middle, 1.0)
                 )
-                if np.hypot(x / z - middle, y / z - middle) < SAME_PLACE:
+                if np.hypot(x / z - middle, y / z - middle) < SAME_PLACE * earlier.seen.size:
                     self._read[k] = (track, index)
                     return
         self._read.append((track, len(self.readings)))
