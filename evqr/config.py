@@ -60,7 +60,8 @@ class FinderConfig:
                          place is quiet: in the quick look and in the thorough one
     min_response         normalised response of a finder pattern that counts, 0 to 1
     max_peaks            peaks kept, the best over all scales
-    max_hypotheses       codes handed to stage one, the best by response
+    max_hypotheses       codes that are tried, the best by response
+    first_hypotheses     tried before the others: most often one of them is the code
     leg_tolerance        |log| of the ratio of the two legs
     scale_tolerance      |log| of leg length over what version and module size ask for
     angle_tolerance      between leg and finder pattern, and from a right angle [rad]
