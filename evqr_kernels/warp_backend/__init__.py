@@ -135,8 +135,8 @@ def _modules(kernels: KernelSet, device: str) -> list[wp.Module]:
     made = [
         splat.make_bin_events(f32),
         lag.make_deposit_events(f32),
-        lag.make_lag_rows(f32),
-        lag.make_lag_columns(f32),
+        lag.make_lag_rows(f32, lag.block_of(wp.get_device(device))),
+        lag.make_lag_columns(f32, lag.block_of(wp.get_device(device))),
         motion.make_correlate_rows(f32),
         motion.make_add_rows(f32),
         templates.make_reduce_image(f32),
