@@ -79,7 +79,7 @@ def build(dtype: Any, variants: dict[str, Any], cpu_only: dict[str, str]) -> dic
         for values in itertools.product(*choices):
             given = [SplatConfig(**value) if isinstance(value, dict) else value for value in values]
             kernel = make(dtype, *given)
-            if kernel.key.rpartition(".")[2] not in cpu_only:
+            if kernel.func.__name__ not in cpu_only:
                 modules[kernel.module] = file
     return modules
 
