@@ -89,7 +89,7 @@ class KernelBackend(Protocol):
         frame: Array, adj_image: Array, chunks_out: Array, adj_weight_out: Array, adj_motion_out: Array,
         cfg: SplatConfig,
     ) -> None:  # fmt: skip
-        """Adjoint of `splat_events` in weight and motion; ``chunks_out`` is (B, any number of chunks, 2)."""
+        """Adjoint of `splat_events` in weight and motion (B, P); ``chunks_out`` is (B, any chunks, P)."""
         ...
 
     def deposit_events(

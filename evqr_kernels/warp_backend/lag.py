@@ -24,7 +24,7 @@ from functools import cache
 import warp as wp
 
 from evqr_kernels.warp_backend.language import module_of, neighbours, vector
-from evqr_kernels.warp_backend.splat import make_transport
+from evqr_kernels.warp_backend.transport import make_transport
 
 CPU_BLOCK, GPU_BLOCK = 16, 4
 """Neighbouring cells that one thread does together: vector units want many, registers few."""

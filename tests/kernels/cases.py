@@ -72,6 +72,24 @@ def splat_events_adjoint(rng, dtype):
     return Call("splat_events_adjoint", inputs, outputs, (SPLAT,), scratch=1)
 
 
+def affine_motion(rng, dtype):
+    """Motions that turn, grow and shear by some pixels over the window, beside those of `splat_inputs`."""
+    return rng.uniform(-100, 100, (B, 4)).astype(dtype)
+
+
+def splat_events_affine(rng, dtype):
+    call = splat_events(rng, dtype)
+    call.inputs[5] = np.hstack([call.inputs[5], affine_motion(rng, dtype)])
+    return call
+
+
+def splat_events_affine_adjoint(rng, dtype):
+    call = splat_events_adjoint(rng, dtype)
+    call.inputs[5] = np.hstack([call.inputs[5], affine_motion(rng, dtype)])
+    call.outputs = [filled((B, 5, 6), dtype), call.outputs[1], filled((B, 6), dtype)]
+    return call
+
+
 def deposit_events(rng, dtype):
     *events, motion, _, frame = splat_inputs(rng, dtype)
     return Call("deposit_events", [*events, motion, frame], [filled((B, 2, Y, X), dtype, 0.5)])
@@ -209,7 +227,9 @@ CALLS = [
     bin_events,
     splat_events,
     splat_events_wide,
+    splat_events_affine,
     splat_events_adjoint,
+    splat_events_affine_adjoint,
     deposit_events,
     deposit_events_adjoint,
     lag_operator,
