@@ -32,14 +32,14 @@ class ArrayChecks:
             raise TypeError(f"{name} must be {self.dtype} like the arrays before it, got {array.dtype}")
         self._shape(name, array, shape)
 
-    def parameters(self, name: str, array: Any, *counts: int) -> None:
+    def parameters(self, name: str, array: Any, counts: tuple[int, ...]) -> None:
         """Raise unless ``array`` is of floats, with one of the counts of parameters for each window."""
         self._numpy(name, array)
         count = array.shape[-1] if array.ndim else 0
-        if count not in counts and len(counts) > 1:
+        if len(counts) > 1 and count not in counts:
             wanted = " or ".join(f"(B, {count})" for count in counts)
             raise ValueError(f"{name} must have shape {wanted}, got {array.shape}")
-        self.floats(name, array, "B", count if count in counts else counts[0])
+        self.floats(name, array, "B", count if count in counts else min(counts))
 
     def ints(self, name: str, array: Any, *shape: Extent) -> None:
         """Raise unless ``array`` is int32 and has the shape."""

@@ -265,7 +265,7 @@ def _check_transport(
 ) -> Floats:  # fmt: skip
     """Check events that are transported into a frame; give the frame, or what stands for it."""
     _check_events(checks, x=x, y=y, t=t, weight=weight, window_ptr=window_ptr)
-    checks.parameters("motion", motion, *parameters)
+    checks.parameters("motion", motion, parameters)
     frame = np.tile(np.array([0.0, 0.0, 1.0], motion.dtype), (len(motion), 1)) if frame is None else frame
     checks.floats("frame", frame, "B", 3)
     if not (frame[:, 2] > 0).all():
