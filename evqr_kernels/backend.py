@@ -171,15 +171,17 @@ class KernelBackend(Protocol):
         """Conjugate gradients over free modules; ``scratch`` is four (B, M, M) and two (B, 4, M)."""
         ...
 
-    def render_affine(self, grid: Array, affine: Array, outside: Array, image_out: Array) -> None:
-        """Image of a grid under an affine map, bilinear."""
+    def render_code(
+        self, grid: Array, to_grid: Array, outside: Array, sigma: float, image_out: Array
+    ) -> None:
+        """Image of a grid under an affine map (B, 6) or a homography (B, 8); bilinear with ``sigma`` 0."""
         ...
 
-    def render_affine_adjoint(
-        self, grid: Array, affine: Array, outside: Array, adj_image: Array, rows_out: Array,
-        adj_grid_out: Array, adj_affine_out: Array,
+    def render_code_adjoint(
+        self, grid: Array, to_grid: Array, outside: Array, sigma: float, adj_image: Array, rows_out: Array,
+        adj_grid_out: Array, adj_to_grid_out: Array,
     ) -> None:  # fmt: skip
-        """Adjoint of `render_affine` in grid and affine; ``rows_out`` is (B, Y, 6)."""
+        """Adjoint of `render_code` in grid and map (B, P); ``rows_out`` is (B, Y, P)."""
         ...
 
     def brightness_residual(
@@ -212,8 +214,8 @@ OPS = (
     "align_poses",
     "code_rhs",
     "solve_code",
-    "render_affine",
-    "render_affine_adjoint",
+    "render_code",
+    "render_code_adjoint",
     "brightness_residual",
     "brightness_residual_adjoint",
 )

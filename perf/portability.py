@@ -14,6 +14,7 @@ kernel passes its budget, or needs no exception that it has.  Needs ``pip instal
 """
 
 import argparse
+import fnmatch
 import importlib
 import inspect
 import itertools
@@ -47,7 +48,7 @@ MEASURES = ("registers", "stack", "local", "atomics")
 class Usage:
     """What one kernel needs on one architecture."""
 
-    file: str
+    variant: str  # of the kernel's module: file and what it was built for
     kernel: str
     dtype: str
     arch: int
@@ -102,7 +103,7 @@ def cuobjdump() -> str:
         sys.exit('cuobjdump is not installed: pip install "evqr[portability]"')
 
 
-def usages(cubin: Path, file: str, dtype: str, arch: int) -> Iterator[Usage]:
+def usages(cubin: Path, variant: str, dtype: str, arch: int) -> Iterator[Usage]:
     """Read what each kernel of a CUBIN needs."""
 
     def dump(option: str) -> str:
@@ -113,7 +114,7 @@ def usages(cubin: Path, file: str, dtype: str, arch: int) -> Iterator[Usage]:
     current = None
     for line in (dump("--dump-resource-usage") + dump("-sass")).splitlines():
         if name := KERNEL.search(line):
-            current = found.setdefault(name[1], Usage(file, name[1], dtype, arch))
+            current = found.setdefault(name[1], Usage(variant, name[1], dtype, arch))
         elif current and (numbers := USAGE.search(line)):
             current.registers, current.stack = int(numbers[1]), int(numbers[2])
         elif current:
@@ -129,7 +130,7 @@ def worst(rows: list[Usage]) -> list[Usage]:
     folded: dict[tuple[str, str, str], Usage] = {}
     for row in rows:
         most = folded.setdefault(
-            (row.file, row.kernel, row.dtype), Usage(row.file, row.kernel, row.dtype, row.arch)
+            (row.variant, row.kernel, row.dtype), Usage(row.variant, row.kernel, row.dtype, row.arch)
         )
         for measure in MEASURES:
             if getattr(row, measure) > getattr(most, measure):
@@ -142,41 +143,44 @@ def limits(row: Usage, settings: dict[str, Any]) -> dict[str, int]:
     budget = dict(settings["budgets"][row.dtype])
     if row.kernel in settings["matrices"]["kernels"]:
         budget["registers"] = settings["matrices"][row.dtype]
-    exception = settings["exceptions"].get(f"{row.kernel} {row.dtype}", {})
+    exception = settings["exceptions"].get(exception_of(row, settings), {})
     return {**budget, **{name: exception[name] for name in budget if name in exception}}
+
+
+def exception_of(row: Usage, settings: dict[str, Any]) -> str | None:
+    """Name the exception that a kernel has: a pattern of "variant kernel dtype"."""
+    name = f"{row.variant} {row.kernel} {row.dtype}"
+    return next((pattern for pattern in settings["exceptions"] if fnmatch.fnmatch(name, pattern)), None)
 
 
 def complaints(rows: list[Usage], settings: dict[str, Any]) -> list[str]:
     """Tell what passes a budget on some architecture, and which exceptions nothing needs."""
-    found = []
-    needed = set()
+    found, seen, needed = [], set(), set()
     for row in rows:
+        seen.add(exception_of(row, settings))
         plain = limits(row, {**settings, "exceptions": {}})
         for measure, limit in limits(row, settings).items():
             value = getattr(row, measure)
             if value > plain[measure]:
-                needed.add(f"{row.kernel} {row.dtype}")
+                needed.add(exception_of(row, settings))
             if value > limit:
-                found.append(
-                    f"{row.kernel} {row.dtype} sm_{row.arch}: {value} {measure}, the budget is {limit}"
-                )
-    seen = {f"{row.kernel} {row.dtype}" for row in rows}
-    unneeded = sorted((set(settings["exceptions"]) & seen) - needed)
+                name = f"{row.variant} {row.kernel} {row.dtype} sm_{row.arch}"
+                found.append(f"{name}: {value} {measure}, the budget is {limit}")
+    unneeded = sorted(name for name in seen - needed if name is not None)
     return found + [f"{name}: the exception is not needed any more" for name in unneeded]
 
 
 def table(rows: list[Usage], settings: dict[str, Any], *, with_arch: bool) -> str:
     """Lines to print."""
     lines = [
-        f"{'file':16} {'kernel':28} {'dtype':8} {'arch':>5} "
+        f"{'variant':22} {'kernel':28} {'dtype':8} {'arch':>5} "
         f"{'regs':>5} {'stack':>6} {'local':>6} {'atomics':>8}"
     ]
-    for row in sorted(rows, key=lambda row: (row.dtype, row.file, row.kernel, row.arch)):
-        allowed = f"{row.kernel} {row.dtype}" in settings["exceptions"]
+    for row in sorted(rows, key=lambda row: (row.dtype, row.variant, row.kernel, row.arch)):
         arch = row.arch if with_arch else "all"
         lines.append(
-            f"{row.file:16} {row.kernel:28} {row.dtype:8} {arch:>5} {row.registers:5} {row.stack:6} "
-            f"{row.local:6} {row.atomics:8}{'  exception' if allowed else ''}"
+            f"{row.variant:22} {row.kernel:28} {row.dtype:8} {arch:>5} {row.registers:5} {row.stack:6} "
+            f"{row.local:6} {row.atomics:8}{'  exception' if exception_of(row, settings) else ''}"
         )
     return "\n".join(lines)
 
@@ -201,8 +205,9 @@ def main() -> int:
             for module, file in modules.items():
                 if arguments.module and file not in arguments.module:
                     continue
+                variant = module.name.removeprefix("evqr_kernels_").removesuffix(f"_{dtype}")
                 for arch, cubin in compiled(module, archs, Path(folder)).items():
-                    rows += usages(cubin, file, dtype, arch)
+                    rows += usages(cubin, variant, dtype, arch)
     rows = [row for row in rows if row.kernel not in settings["cpu_only"]]
     print(table(rows if arguments.all else worst(rows), settings, with_arch=arguments.all))
     for name, reason in settings["cpu_only"].items():
@@ -210,7 +215,7 @@ def main() -> int:
     for name, exception in settings["exceptions"].items():
         print(f"exception: {name}: {exception['reason']}")
     wrong = complaints(rows, settings)
-    kernels = len({(row.kernel, row.dtype) for row in rows})
+    kernels = len({(row.variant, row.kernel, row.dtype) for row in rows})
     archs = ", ".join(f"sm_{arch}" for arch in sorted({row.arch for row in rows}))
     print(f"{kernels} kernels for {archs} in {time.perf_counter() - begin:.0f} s")
     for complaint in wrong:

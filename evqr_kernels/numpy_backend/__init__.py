@@ -46,8 +46,8 @@ class NumpyBackend:
     align_poses = staticmethod(align.align_poses)
     code_rhs = staticmethod(code.code_rhs)
     solve_code = staticmethod(solve.solve_code)
-    render_affine = staticmethod(render.render_affine)
-    render_affine_adjoint = staticmethod(render.render_affine_adjoint)
+    render_code = staticmethod(render.render_code)
+    render_code_adjoint = staticmethod(render.render_code_adjoint)
     brightness_residual = staticmethod(residual.brightness_residual)
     brightness_residual_adjoint = staticmethod(residual.brightness_residual_adjoint)
 

@@ -27,8 +27,8 @@ from evqr_kernels.ops.images import correlate_templates, motion_correlation, red
 from evqr_kernels.ops.render import (
     brightness_residual,
     brightness_residual_adjoint,
-    render_affine,
-    render_affine_adjoint,
+    render_code,
+    render_code_adjoint,
 )
 
 __all__ = [
@@ -44,8 +44,8 @@ __all__ = [
     "lag_operator_adjoint",
     "motion_correlation",
     "reduce_image",
-    "render_affine",
-    "render_affine_adjoint",
+    "render_code",
+    "render_code_adjoint",
     "sample_moments",
     "sample_moments_adjoint",
     "solve_code",

@@ -187,27 +187,46 @@ def system(rng, dtype, modules):
     return [rhs.astype(dtype), stencil.astype(dtype), np.full(B, 0.3, dtype), free, start.astype(dtype)]
 
 
-def render_affine(rng, dtype):
+def render_code(rng, dtype, parameters=6, sigma=0.0):
     grid = rng.normal(size=(B, 7, 6)).astype(dtype)
-    return Call(
-        "render_affine", [grid, affines(dtype), np.array([0.0, 1.0, -0.5], dtype)], [filled((B, Y, X), dtype)]
-    )
+    inputs = [grid, maps(dtype, parameters), np.array([0.0, 1.0, -0.5], dtype), sigma]
+    return Call("render_code", inputs, [filled((B, Y, X), dtype)])
 
 
-def affines(dtype):
-    """Image to grid: one turned, one that shows all of the grid, and one close to singular."""
-    maps = [
-        [0.21, 0.09, -2.013, -0.08, 0.24, 0.507],
-        [0.33, 0.0, -1.517, 0.0, 0.41, -1.019],
-        [0.2, 0.1, 0.303, 0.4, 0.2, -3.017],
+def render_code_smooth(rng, dtype):
+    return render_code(rng, dtype, sigma=0.23)
+
+
+def render_code_tilted(rng, dtype):
+    return render_code(rng, dtype, parameters=8)
+
+
+def render_code_tilted_smooth(rng, dtype):
+    return render_code(rng, dtype, parameters=8, sigma=0.23)
+
+
+def maps(dtype, parameters=6):
+    """Image to grid: one turned, one that shows all of the grid, and one close to singular.
+
+    With 8 parameters the first is in front of a part of the image only.
+    """
+    rows = [
+        [0.21, 0.09, -2.013, -0.08, 0.24, 0.507, -0.0431234, 0.0031567],
+        [0.33, 0.0, -1.517, 0.0, 0.41, -1.019, 0.0112789, 0.0073141],
+        [0.2, 0.1, 0.303, 0.4, 0.2, -3.017, 0.0021379, -0.0011757],
     ]
-    return np.array(maps, dtype)
+    return np.array(rows, dtype)[:, :parameters].copy()
 
 
-def render_affine_adjoint(rng, dtype):
-    inputs = [*render_affine(rng, dtype).inputs, rng.normal(size=(B, Y, X)).astype(dtype)]
-    outputs = [filled((B, Y, 6), dtype), filled((B, 7, 6), dtype), filled((B, 6), dtype)]
-    return Call("render_affine_adjoint", inputs, outputs, scratch=1)
+def render_code_adjoint(rng, dtype, parameters=6, sigma=0.0):
+    grid, to_grid, outside, _ = render_code(rng, dtype, parameters).inputs
+    inputs = [grid, to_grid, outside, sigma, rng.normal(size=(B, Y, X)).astype(dtype)]
+    outputs = [filled((B, Y, parameters), dtype), filled((B, 7, 6), dtype), filled((B, parameters), dtype)]
+    return Call("render_code_adjoint", inputs, outputs, scratch=1)
+
+
+def render_code_adjoint_tilted_smooth(rng, dtype):
+    return render_code_adjoint(rng, dtype, parameters=8, sigma=0.23)
 
 
 def brightness_residual(rng, dtype):
@@ -240,8 +259,12 @@ CALLS = [
     sample_moments,
     sample_moments_adjoint,
     code_rhs,
-    render_affine,
-    render_affine_adjoint,
+    render_code,
+    render_code_smooth,
+    render_code_tilted,
+    render_code_tilted_smooth,
+    render_code_adjoint,
+    render_code_adjoint_tilted_smooth,
     brightness_residual,
     brightness_residual_adjoint,
 ]

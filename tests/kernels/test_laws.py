@@ -19,8 +19,8 @@ WINDOWED = [
     "reduce_image",
     "correlate_templates",
     "code_rhs",
-    "render_affine",
-    "render_affine_adjoint",
+    "render_code",
+    "render_code_adjoint",
     "brightness_residual",
     "brightness_residual_adjoint",
 ]

@@ -48,8 +48,8 @@ GOOD = {
     ),
     "code_rhs": ([f32(B, Y, X), f32(B, 9), f32(14), f32(10), f32(10), f32(B, 2)], {"samples_a_module": 2}),
     "solve_code": ([f32(B, 7, 7), f32(B, 5, 5), f32(B) + 1, np.ones((7, 7), np.int32), f32(B, 7, 7)], {}),
-    "render_affine": ([f32(B, 6, 5), f32(B, 6), f32(B)], {"shape": (Y, X)}),
-    "render_affine_adjoint": ([f32(B, 6, 5), f32(B, 6), f32(B), f32(B, Y, X)], {}),
+    "render_code": ([f32(B, 6, 5), f32(B, 6), f32(B)], {"shape": (Y, X)}),
+    "render_code_adjoint": ([f32(B, 6, 5), f32(B, 6), f32(B), f32(B, Y, X)], {}),
     "brightness_residual": ([f32(B, Y, X), f32(B, Y, X), f32(B, 2)], {}),
     "brightness_residual_adjoint": ([f32(B, Y, X), f32(B, 2), f32(B, Y, X)], {}),
 }
@@ -105,7 +105,7 @@ def test_results_are_those_of_the_backend(op, rng, spec):
         options = {"deposits": cases.B}
     if op.startswith("sample"):
         options = {"active": arrays.pop(3)}
-    if op in ("bin_events", "splat_events", "render_affine"):
+    if op in ("bin_events", "splat_events", "render_code"):
         options["shape"] = made.outputs[0].shape[1:]
     got = getattr(evqr_kernels, op)(*arrays, **options, backend="numpy")
     for one, other in zip(as_tuple(got), expected, strict=True):
@@ -121,8 +121,7 @@ def test_out_is_accumulated_or_overwritten_in_place(name):
     np.testing.assert_array_equal(out[:, 0, 0], [6, 8])
     out[:] = np.nan
     assert (
-        call("render_affine", arg2=f32(B) + 3, arg0=f32(B, 6, 5) + 3, out=out, shape=None, backend=name)
-        is out
+        call("render_code", arg2=f32(B) + 3, arg0=f32(B, 6, 5) + 3, out=out, shape=None, backend=name) is out
     )
     np.testing.assert_array_equal(out, 3)
 
@@ -150,20 +149,22 @@ def test_templates_on_small_images(shape):
 
 BAD = [
     (
-        "render_affine",
+        "render_code",
         {"arg1": f32(4, 5)},
         ValueError,
-        "affine must have shape (B, 6) with B = 2, got (4, 5)",
+        "to_grid must have shape (B, 6) or (B, 8), got (4, 5)",
     ),
     (
-        "render_affine",
-        {"arg1": f32(B, 5)},
+        "render_code",
+        {"arg1": f32(3, 8)},
         ValueError,
-        "affine must have shape (B, 6) with B = 2, got (2, 5)",
+        "to_grid must have shape (B, 8) with B = 2, got (3, 8)",
     ),
-    ("render_affine", {"arg0": f32(B, 6)}, ValueError, "grid must have shape (B, G, H), got (2, 6)"),
-    ("render_affine", {"shape": None}, TypeError, "shape of the image must be given when there is no out"),
-    ("render_affine", {"out": f32(3, Y, X)}, ValueError, "out must have shape (B, Y, X) with B = 2"),
+    ("render_code", {"arg0": f32(B, 6)}, ValueError, "grid must have shape (B, G, H), got (2, 6)"),
+    ("render_code", {"sigma": 0.01}, ValueError, "sigma must be 0, or 0.02 to 1, got 0.01"),
+    ("render_code_adjoint", {"sigma": float("nan")}, ValueError, "sigma must be 0, or 0.02 to 1, got nan"),
+    ("render_code", {"shape": None}, TypeError, "shape of the image must be given when there is no out"),
+    ("render_code", {"out": f32(3, Y, X)}, ValueError, "out must have shape (B, Y, X) with B = 2"),
     ("bin_events", {"arg1": f32(E + 1)}, ValueError, "y must have shape (E,) with E = 10, got (11,)"),
     ("bin_events", {"arg0": [1.0]}, TypeError, "x must be a NumPy array, got list"),
     ("bin_events", {"arg0": np.zeros(E, int)}, TypeError, "x must be float32 or float64, got int64"),

@@ -19,9 +19,9 @@ spec.loader.exec_module(portability)
 SETTINGS = {
     "budgets": {"float32": {"registers": 64, "stack": 0, "local": 0}},
     "matrices": {"kernels": ["matrix"], "float32": 96},
-    "exceptions": {"wide float32": {"registers": 70, "reason": "it is wide"}},
+    "exceptions": {"file_? wide float32": {"registers": 70, "reason": "it is wide"}},
 }
-PLAIN = portability.Usage("file", "plain", "float32", 90, registers=64)
+PLAIN = portability.Usage("file_4", "plain", "float32", 90, registers=64)
 DUMP = """
  Function make_one__locals__one_cuda_kernel_forward:
   REG:40 STACK:16 SHARED:2048 LOCAL:0
@@ -50,17 +50,20 @@ def test_every_kernel_is_found():
     ("row", "complaint"),
     [
         (PLAIN, None),
-        (replace(PLAIN, registers=65), "plain float32 sm_90: 65 registers, the budget is 64"),
-        (replace(PLAIN, stack=8), "plain float32 sm_90: 8 stack, the budget is 0"),
-        (replace(PLAIN, local=1), "plain float32 sm_90: 1 local, the budget is 0"),
+        (replace(PLAIN, registers=65), "file_4 plain float32 sm_90: 65 registers, the budget is 64"),
+        (replace(PLAIN, stack=8), "file_4 plain float32 sm_90: 8 stack, the budget is 0"),
+        (replace(PLAIN, local=1), "file_4 plain float32 sm_90: 1 local, the budget is 0"),
         (replace(PLAIN, kernel="matrix", registers=96), None),
         (
             replace(PLAIN, kernel="matrix", registers=97),
-            "matrix float32 sm_90: 97 registers, the budget is 96",
+            "file_4 matrix float32 sm_90: 97 registers, the budget is 96",
         ),
         (replace(PLAIN, kernel="wide", registers=70), None),
-        (replace(PLAIN, kernel="wide", registers=71), "wide float32 sm_90: 71 registers, the budget is 70"),
-        (replace(PLAIN, kernel="wide"), "wide float32: the exception is not needed any more"),
+        (
+            replace(PLAIN, kernel="wide", registers=71),
+            "file_4 wide float32 sm_90: 71 registers, the budget is 70",
+        ),
+        (replace(PLAIN, kernel="wide"), "file_? wide float32: the exception is not needed any more"),
     ],
 )
 def test_budgets(row, complaint):
