@@ -23,14 +23,12 @@ from functools import cache
 
 import warp as wp
 
-from evqr_kernels.warp_backend.language import module_of, neighbours, vector
+from evqr_kernels.warp_backend.language import launch, module_of, neighbours, vector
+from evqr_kernels.warp_backend.splat import CHUNK
 from evqr_kernels.warp_backend.transport import make_transport
 
 CPU_BLOCK, GPU_BLOCK = 16, 4
 """Neighbouring cells that one thread does together: vector units want many, registers few."""
-
-CHUNK = 64
-"""Events that one thread takes one after another: what belongs to the window is looked up once."""
 
 
 def block_of(device: wp.Device) -> int:
@@ -86,7 +84,7 @@ def make_deposit_events(dtype: type) -> wp.Kernel:
 
 def deposit_events(x, y, t, weight, window_ptr, motion, frame, deposit_out) -> None:
     """Launch; accumulates.  Float atomics: on a GPU sums repeat to a tolerance, not bit for bit."""
-    wp.launch(
+    launch(
         make_deposit_events(x.dtype),
         (motion.shape[0], -(-x.shape[0] // CHUNK)),
         inputs=[x, y, t, weight, window_ptr, motion, frame],
@@ -172,14 +170,14 @@ def lag_operator(deposit, deposit_idx, direction, lag, taps, rows_out, image_out
     block = block_of(device)
     blocks = -(-(width - 2 * (taps.shape[1] // 2)) // block)
     rows = neighbours(rows_out, block)
-    wp.launch(
+    launch(
         make_lag_rows(dtype, block),
         (count, height, blocks),
         inputs=[neighbours(deposit, block), deposit_idx, direction, lag, taps],
         outputs=[rows],
         device=device,
     )
-    wp.launch(
+    launch(
         make_lag_columns(dtype, block),
         (count, height, blocks),
         inputs=[rows, taps],

@@ -27,6 +27,7 @@ import warp as wp
 
 from evqr_kernels.warp_backend.language import (
     last_axis_as_vector,
+    launch,
     launch_bounds,
     module_of,
     neighbours,
@@ -220,7 +221,7 @@ def make_render_code(dtype: type, parameters: int, taps: int) -> wp.Kernel:
 def render_code(grid, to_grid, outside, sigma: float, image_out) -> None:
     """Launch; overwrites."""
     taps = taps_of(sigma)
-    wp.launch(
+    launch(
         make_render_code(grid.dtype, to_grid.shape[1], taps),
         image_out.shape[:2],
         inputs=[

@@ -17,7 +17,9 @@ from functools import cache
 import warp as wp
 
 from evqr_kernels.warp_backend.language import (
+    clear,
     last_axis_as_vector,
+    launch,
     launch_bounds,
     module_of,
     neighbours,
@@ -237,7 +239,7 @@ def launch_rows(
 ) -> None:
     """Launch the pass over pixels; overwrites the rows, and with ``scatter`` accumulates in the grid."""
     taps, vec_map = taps_of(sigma), last_axis_as_vector(to_grid)
-    wp.launch(
+    launch(
         make_adjoint_of_rows(grid.dtype, to_grid.shape[1], taps, scatter),
         adj_image.shape[:2],
         inputs=[
@@ -256,7 +258,7 @@ def launch_rows(
 
 def launch_nodes(to_grid, sigma: float, adj_image, adj_grid_out) -> None:
     """Launch the pass over nodes; overwrites."""
-    wp.launch(
+    launch(
         make_adjoint_of_nodes(adj_image.dtype, to_grid.shape[1], taps_of(sigma)),
         adj_grid_out.shape,
         inputs=[last_axis_as_vector(to_grid), sigma, reach_of(sigma), adj_image],
@@ -271,7 +273,7 @@ def render_code_adjoint(
     """Launch the variant that suits the device; overwrites."""
     on_cpu = grid.device.is_cpu
     if on_cpu:
-        adj_grid_out.zero_()
+        clear(adj_grid_out)
     else:
         launch_nodes(to_grid, sigma, adj_image, adj_grid_out)
     launch_rows(grid, to_grid, outside, sigma, adj_image, rows_out, adj_grid_out, scatter=on_cpu)

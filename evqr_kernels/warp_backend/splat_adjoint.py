@@ -16,7 +16,7 @@ from functools import cache
 import warp as wp
 
 from evqr_kernels.config import SplatConfig
-from evqr_kernels.warp_backend.language import module_of, neighbours, vector
+from evqr_kernels.warp_backend.language import launch, module_of, neighbours, vector
 from evqr_kernels.warp_backend.splat import make_splat_taps
 from evqr_kernels.warp_backend.sums import add_partials
 from evqr_kernels.warp_backend.transport import (
@@ -173,7 +173,7 @@ def splat_events_adjoint(
     cfg: SplatConfig,
 ) -> None:  # fmt: skip
     """Launch both passes; overwrites."""
-    wp.launch(
+    launch(
         make_splat_events_adjoint(x.dtype, cfg, motion.shape[1]),
         chunks_out.shape[:2],
         inputs=[
