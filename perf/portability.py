@@ -173,13 +173,13 @@ def complaints(rows: list[Usage], settings: dict[str, Any]) -> list[str]:
 def table(rows: list[Usage], settings: dict[str, Any], *, with_arch: bool) -> str:
     """Lines to print."""
     lines = [
-        f"{'variant':22} {'kernel':28} {'dtype':8} {'arch':>5} "
+        f"{'variant':26} {'kernel':28} {'dtype':8} {'arch':>5} "
         f"{'regs':>5} {'stack':>6} {'local':>6} {'atomics':>8}"
     ]
     for row in sorted(rows, key=lambda row: (row.dtype, row.variant, row.kernel, row.arch)):
         arch = row.arch if with_arch else "all"
         lines.append(
-            f"{row.variant:22} {row.kernel:28} {row.dtype:8} {arch:>5} {row.registers:5} {row.stack:6} "
+            f"{row.variant:26} {row.kernel:28} {row.dtype:8} {arch:>5} {row.registers:5} {row.stack:6} "
             f"{row.local:6} {row.atomics:8}{'  exception' if exception_of(row, settings) else ''}"
         )
     return "\n".join(lines)
@@ -215,6 +215,9 @@ def main() -> int:
     for name, exception in settings["exceptions"].items():
         print(f"exception: {name}: {exception['reason']}")
     wrong = complaints(rows, settings)
+    if not (arguments.module or arguments.dtype):
+        met = {exception_of(row, settings) for row in rows}
+        wrong += [f"{name}: no kernel has this name" for name in settings["exceptions"] if name not in met]
     kernels = len({(row.variant, row.kernel, row.dtype) for row in rows})
     archs = ", ".join(f"sm_{arch}" for arch in sorted({row.arch for row in rows}))
     print(f"{kernels} kernels for {archs} in {time.perf_counter() - begin:.0f} s")
