@@ -226,6 +226,30 @@ class KernelBackend(Protocol):
         """Right-hand side of stage two; ``samples_out`` is (B, S, S), ``rows_out`` (B, 2, S, M)."""
         ...
 
+    def pose_normal_equations(
+        self, moments: Array, gram: Array, terms: Array, factors: Array, ridge: float, gain_out: Array,
+        matrix_out: Array, rhs_out: Array,
+    ) -> None:  # fmt: skip
+        """Gain (N, 2), matrix (N, n, n) and right-hand side (N, n) of a step on poses, from moments."""
+        ...
+
+    def code_normal_equations(
+        self, image: Array, pose: Array, lattice: Array, profile: Array, slope: Array, gain: Array,
+        samples_a_module: int, samples_out: Array, rows_out: Array, stencil_out: Array, rhs_out: Array,
+    ) -> None:  # fmt: skip
+        """Stencil of A^T A, and A^T E with scratch as in `code_rhs`."""
+        ...
+
+    def code_product(self, q: Array, stencil: Array, damping: Array, free: Array, product_out: Array) -> None:
+        """Product (stencil + damping I) q on the free modules, 0 elsewhere."""
+        ...
+
+    def solve_code_banded(
+        self, rhs: Array, stencil: Array, damping: Array, free: Array, band_out: Array, q_inout: Array
+    ) -> None:
+        """Banded Cholesky over free modules; ``band_out`` is (B, M^2, (K // 2) (M + 1) + 1)."""
+        ...
+
     def solve_code(
         self, rhs: Array, stencil: Array, damping: Array, free: Array, q_inout: Array,
         scratch: tuple[Array, ...], iterations_out: Array, *, max_iterations: int, tolerance: float,
@@ -279,8 +303,12 @@ OPS = (
     "sample_moments",
     "sample_moments_adjoint",
     "align_poses",
+    "pose_normal_equations",
     "code_rhs",
+    "code_normal_equations",
+    "code_product",
     "solve_code",
+    "solve_code_banded",
     "render_code",
     "render_code_adjoint",
     "brightness_residual",

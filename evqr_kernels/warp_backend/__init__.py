@@ -19,13 +19,16 @@ from evqr_kernels.backend import OPS, require_device
 from evqr_kernels.config import DEFAULT_KERNELS, KernelSet
 from evqr_kernels.warp_backend import (
     align,
+    banded,
     code,
+    code_normal,
     images,
     lag,
     lag_adjoint,
     motion,
     peaks,
     pose,
+    pose_normal,
     render,
     render_adjoint,
     residual,
@@ -63,8 +66,12 @@ class WarpBackend:
     sample_moments = staticmethod(pose.sample_moments)
     sample_moments_adjoint = staticmethod(pose.sample_moments_adjoint)
     align_poses = staticmethod(align.align_poses)
+    pose_normal_equations = staticmethod(pose_normal.pose_normal_equations)
     code_rhs = staticmethod(code.code_rhs)
+    code_normal_equations = staticmethod(code_normal.code_normal_equations)
+    code_product = staticmethod(code_normal.code_product)
     solve_code = staticmethod(solve.solve_code)
+    solve_code_banded = staticmethod(banded.solve_code_banded)
     render_code = staticmethod(render.render_code)
     render_code_adjoint = staticmethod(render_adjoint.render_code_adjoint)
     brightness_residual = staticmethod(residual.brightness_residual)

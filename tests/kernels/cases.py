@@ -239,6 +239,35 @@ def code_rhs(rng, dtype, modules=11, samples=3):
     return Call("code_rhs", inputs, outputs, scratch=2)
 
 
+def pose_normal_equations(rng, dtype, parameters=8, count=4, columns=20):
+    table = rng.normal(size=(60, columns)).astype(dtype)
+    moments = rng.normal(size=(count, columns + 1)).astype(dtype)
+    terms = rng.integers(0, columns, (parameters + 2, 4)).astype(np.int32)
+    factors = rng.integers(0, 4, (parameters + 2, 4)).astype(np.int32)
+    size = parameters + 2
+    outputs = [filled((count, 2), dtype), filled((count, size, size), dtype), filled((count, size), dtype)]
+    return Call("pose_normal_equations", [moments, table.T @ table, terms, factors, 1e-3], outputs)
+
+
+def code_normal_equations(rng, dtype, modules=11, reach=2):
+    call = code_rhs(rng, dtype, modules)
+    samples, rows, rhs = call.outputs
+    side = 2 * reach + 1
+    outputs = [samples, rows, filled((B, side, side), dtype), rhs]
+    return Call("code_normal_equations", call.inputs, outputs, scratch=2)
+
+
+def code_product(rng, dtype):
+    rhs, stencil, damping, free, start = system(rng, dtype, 9)
+    return Call("code_product", [start, stencil, damping, free], [filled(rhs.shape, dtype)])
+
+
+def solve_code_banded(rng, dtype, modules=9):
+    rhs, stencil, damping, free, start = system(rng, dtype, modules)
+    band = filled((B, modules**2, 2 * (modules + 1) + 1), dtype)
+    return Call("solve_code_banded", [rhs, stencil, damping, free], [band, start], scratch=1)
+
+
 def system(rng, dtype, modules):
     """Arguments of `solve_code`: positive definite, with free modules up to the border."""
     taps = rng.normal(size=(B, 3, 3))
@@ -328,7 +357,10 @@ CALLS = [
     match_corners,
     sample_moments,
     sample_moments_adjoint,
+    pose_normal_equations,
     code_rhs,
+    code_normal_equations,
+    code_product,
     render_code,
     render_code_smooth,
     render_code_tilted,
@@ -338,4 +370,4 @@ CALLS = [
     brightness_residual,
     brightness_residual_adjoint,
 ]
-"""All but `solve_code` and `align_poses`, which update an input in place and have files of their own."""
+"""All operations but those that update an input in place, which have files of their own."""

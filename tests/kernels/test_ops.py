@@ -57,6 +57,16 @@ GOOD = {
     ),
     "code_rhs": ([f32(B, Y, X), f32(B, 9), f32(14), f32(10), f32(10), f32(B, 2)], {"samples_a_module": 2}),
     "solve_code": ([f32(B, 7, 7), f32(B, 5, 5), f32(B) + 1, np.ones((7, 7), np.int32), f32(B, 7, 7)], {}),
+    "pose_normal_equations": ([f32(3, 5) + 1, np.eye(4, dtype=np.float32), *TERMS], {}),
+    "code_normal_equations": (
+        [f32(B, Y, X), f32(B, 9), f32(14), f32(10) + 1, f32(10) + 1, f32(B, 2) + 1],
+        {"samples_a_module": 2},
+    ),
+    "code_product": ([f32(B, 7, 7) + 1, f32(B, 5, 5), f32(B) + 1, np.ones((7, 7), np.int32)], {}),
+    "solve_code_banded": (
+        [f32(B, 7, 7) + 1, f32(B, 5, 5), f32(B) + 1, np.ones((7, 7), np.int32), f32(B, 7, 7)],
+        {},
+    ),
     "render_code": ([f32(B, 6, 5), f32(B, 6), f32(B)], {"shape": (Y, X)}),
     "render_code_adjoint": ([f32(B, 6, 5), f32(B, 6), f32(B), f32(B, Y, X)], {}),
     "brightness_residual": ([f32(B, Y, X), f32(B, Y, X), f32(B, 2)], {}),
@@ -105,6 +115,7 @@ def test_results_are_those_of_the_backend(op, rng, spec):
         "bin_events": {"reduction": 2.0},
         "reduce_image": {"ratio": 1.25},
         "code_rhs": {"samples_a_module": 3},
+        "code_normal_equations": {"samples_a_module": 3},
         "motion_correlation": {"radius": 5, "clip": 2.0},
         "clip_outliers": {"factor": 1.7},
         "local_maxima": {"least": 0.3, "cell": 2.5, "size": 3.125, "turn": 0.2, "most": 3},
@@ -124,6 +135,8 @@ def test_results_are_those_of_the_backend(op, rng, spec):
         options = {"active": arrays.pop(3)}
     if op in ("bin_events", "splat_events", "render_code"):
         options["shape"] = made.outputs[0].shape[1:]
+    if op == "solve_code_banded":
+        arrays.append(np.zeros_like(arrays[0]))
     got = getattr(evqr_kernels, op)(*arrays, **options, backend="numpy")
     for one, other in zip(as_tuple(got), expected, strict=True):
         np.testing.assert_allclose(one, other, rtol=0, atol=1e-12 * np.abs(other).max())
@@ -274,6 +287,27 @@ BAD = [
     ("align_poses", {"arg5": np.zeros((9, 4), np.int32)}, ValueError, "factors must have shape (P + 2, 4)"),
     ("align_poses", {"arg5": np.full((8, 4), 4, np.int32)}, ValueError, "terms must be 0 to 3, got 4 to 4"),
     ("code_rhs", {"samples_a_module": 0}, ValueError, "samples_a_module must be at least 1, got 0"),
+    (
+        "pose_normal_equations",
+        {"arg0": f32(3, 4)},
+        ValueError,
+        "moments must have shape (N, 5) with N = 3,",
+    ),
+    (
+        "pose_normal_equations",
+        {"arg2": np.zeros((9, 4), np.int32), "arg3": np.zeros((9, 4), np.int32)},
+        ValueError,
+        "terms must have shape (8, 4) or (10, 4), got (9, 4)",
+    ),
+    (
+        "pose_normal_equations",
+        {"arg2": np.full((8, 4), 4, np.int32)},
+        ValueError,
+        "terms must be 0 to 3, got 4 to 4",
+    ),
+    ("code_normal_equations", {"reach": -1}, ValueError, "reach must be at least 0, got -1"),
+    ("code_product", {"arg1": f32(B, 4, 4)}, ValueError, "stencil must have an odd side, got (2, 4, 4)"),
+    ("solve_code_banded", {"arg1": f32(B, 2, 2)}, ValueError, "stencil must have an odd side, got (2, 2, 2)"),
     ("solve_code", {"arg1": f32(B, 4, 4)}, ValueError, "stencil must have an odd side, got (2, 4, 4)"),
     ("solve_code", {"max_iterations": -1}, ValueError, "max_iterations must be at least 0, got -1"),
     (
