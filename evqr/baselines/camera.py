@@ -13,8 +13,6 @@ from evqr.baselines.method import Outcome, Watch
 class Camera:
     """One frame as it is: what reads it is the pattern matching of section 4.4, and zxing-cpp."""
 
-    name = "image"
-    title = "Image"
     takes: Literal["frame"] = "frame"
     windows = 1
     matched = True

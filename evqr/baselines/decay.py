@@ -2,9 +2,9 @@
 
 Each event adds its polarity to its pixel, and what is there fades with a time constant, as in the
 accumulators with exponential decay that event-camera toolkits offer (dv-processing's ``Accumulator``, for
-one).  At a pixel that an edge passed at time s the value is the sum of its steps times exp(-(t - s) / tau), so
-the image is the luminance behind each edge, high-passed.  The default time constant is the best of 3, 6 and 12 windows on the
-scenes of `evqr.dataset`.
+one).  At a pixel that an edge passed at time s the value is the sum of its steps times exp(-(t - s) / tau),
+so the image is the luminance behind each edge, high-passed.  The default time constant is the best of 3, 6
+and 12 windows on the scenes of `evqr.dataset`.
 """
 
 from __future__ import annotations
@@ -40,8 +40,6 @@ class DecayConfig:
 class Decay:
     """Events of the last windows, fading, as an image."""
 
-    name = "decay"
-    title = "decaying accumulator + zxing-cpp"
     takes: Literal["events"] = "events"
     matched = False
 

@@ -73,7 +73,7 @@ class DescentConfig:
     pose_tolerance: float = 0.001
     code_tolerance: float = 5.0
     max_iterations: int = 300
-    shown_iterations: int = 60
+    shown_iterations: int = 40
 
 
 @dataclass(frozen=True, eq=False)
@@ -103,8 +103,6 @@ class DescentReading:
 class Descent:
     """The paper's method, from a window of events and the code's version."""
 
-    name = "descent"
-    title = "Ours (the paper's)"
     takes: Literal["events"] = "events"
     windows = 1
     matched = False
@@ -126,6 +124,7 @@ class Descent:
         outcome = decode_grid(q, effort="full")
         return Outcome(
             modules=q,
+            pose=problem.pose_of(affine),
             text=outcome.text if isinstance(outcome, Decoded) else None,
             converged=iterations < cfg.max_iterations,
         )

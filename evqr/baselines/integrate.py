@@ -73,8 +73,6 @@ class IntegrateReading:
 class Integrate:
     """Row 6a of the table: motion, compensated events, integration along the motion, zxing-cpp."""
 
-    name = "integrate"
-    title = "compensated integration + zxing-cpp"
     takes: Literal["events"] = "events"
     windows = 1
     matched = False

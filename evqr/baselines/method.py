@@ -25,6 +25,7 @@ class Outcome:
     image : (Y, X)           luminance, larger is lighter; None for a method that gives modules
     text                     what it reads; None when nothing, or when reading its image is left to others
     converged                whether it ended by its own criterion
+    pose : (3, 3)            code coordinates to px at the middle of its last window, of modules; or None
     windows                  windows of events that it needed, of those it was given
     confidence               that the text is right, 0 to 1; None where it does not say
     """
@@ -33,6 +34,7 @@ class Outcome:
     image: NDArray[Any] | None = None
     text: str | None = None
     converged: bool = True
+    pose: NDArray[np.float64] | None = None
     windows: int = 1
     confidence: float | None = None
 
@@ -42,15 +44,11 @@ class Method(Protocol):
 
     Attributes
     ----------
-    name     short, for files and options
-    title    for the table
     takes    "events": a `Window`; "frame": an image (Y, X) uint8
     windows  windows of the scene's length that one `Window` holds
     matched  whether codes are read from its image by the paper's pattern matching (section 4.4)
     """
 
-    name: str
-    title: str
     takes: Literal["events", "frame"]
     windows: int
     matched: bool

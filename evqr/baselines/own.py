@@ -11,9 +11,6 @@ from evqr.solver import Sighting, Solver
 from evqr.vote import Tally
 from evqr.windows import Window
 
-FUSED_WINDOWS = 8
-"""Windows that a fused reading is given at most."""
-
 
 class Own:
     """`evqr.Solver`, from cold; neither version nor motion is told.
@@ -29,8 +26,6 @@ class Own:
 
     def __init__(self, *, windows: int = 1, lag: bool = True) -> None:
         self.windows = windows
-        self.name = "evqr" + ("" if windows == 1 else "_fused") + ("" if lag else "_no_lag")
-        self.title = "evqr" + ("" if windows == 1 else ", fused") + ("" if lag else ", no lag operator")
         self._solver = Solver(ReadConfig(lag_us=None if lag else (0.0, 0.0)))
 
     def read(self, seen: Window, watch: Watch) -> Outcome:
@@ -52,6 +47,7 @@ class Own:
             read = isinstance(decoded, Decoded)
             best = Outcome(
                 modules=estimate.q,
+                pose=sighting.pose,
                 text=decoded.text if read else None,
                 windows=index + 1,
                 confidence=decoded.confidence if read else None,

@@ -96,7 +96,7 @@ def _along_rows(lines: Image, scale: float) -> Image:
     width = lines.shape[1]
     half = max(1, round(scale / 2))
     down = np.cumsum(np.pad(lines, ((half + 1, half), (0, 0)), mode="edge"), axis=0)
-    means = (down[2 * half + 1 :: STEP] - down[: -2 * half - 1 : STEP]) / np.float32(2 * half + 1)
+    means: Image = (down[2 * half + 1 :: STEP] - down[: -2 * half - 1 : STEP]) / np.float32(2 * half + 1)
     reach = STEP * (int(np.ceil(END * scale)) // STEP + 1)
     out = np.full((len(means), -(-width // STEP)), -1.0, np.float32)
     places = out[:, reach // STEP : (width - reach) // STEP]
@@ -114,7 +114,7 @@ def _along_rows(lines: Image, scale: float) -> Image:
         first = reach + whole
         ends = [first + k + STEP * places.shape[1] for k in (0, 1)]
         left, right = total[:, first : ends[0] : STEP], total[:, first + 1 : ends[1] : STEP]
-        return left + np.float32(at - whole) * (right - left)
+        return (left + np.float32(at - whole) * (right - left)).astype(np.float32)
 
     edges = [upto(sums, begin) for begin, _ in STRIPES] + [upto(sums, END)]
     signs = np.array([sign for _, sign in STRIPES])

@@ -58,8 +58,6 @@ class WithoutQrConfig:
 class WithoutQr:
     """Luminance and motion from one window of events; the code is then found in the image."""
 
-    name = "without_qr"
-    title = "w/o QR"
     takes: Literal["events"] = "events"
     windows = 1
     matched = True

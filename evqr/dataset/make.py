@@ -31,7 +31,7 @@ def make_dataset(
     specs: Iterable[SceneSpec],
     *,
     executor: Executor | None = None,
-    progress: Callable[[str], None] | None = None,
+    progress: Callable[[str], object] | None = None,
 ) -> list[Entry]:
     """Make the scenes that are not there yet, then manifest, card and checksums.
 

@@ -99,12 +99,16 @@ class Sequence:
     truth
     events : EventArray
     frames : (N, Y, X) uint8   of a camera; N is 0 without one
+    pose_t_us : (K,)           times of the true poses [us]; K is 0 where they are not known
+    poses : (K, 3, 3)          code coordinates to px
     """
 
     entry: Entry
     truth: Truth
     events: EventArray
     frames: NDArray[np.uint8]
+    pose_t_us: NDArray[np.int64]
+    poses: NDArray[np.float64]
 
     @property
     def start_us(self) -> int:
@@ -122,10 +126,29 @@ class Sequence:
         # the last window may end in silence: a few microseconds without an event make no window less
         return int((end - self.start_us) / self.entry.window_us + 0.5)
 
-    def window(self, index: int, length: int = 1) -> Window:
+    def window(self, index: int, length: float = 1.0) -> Window:
         """Cut ``length`` windows out as one, from the ``index``-th on."""
         start = self.start_us + index * self.entry.window_us
-        return make_window(self.events, start, start + length * self.entry.window_us)
+        return make_window(self.events, start, start + round(length * self.entry.window_us))
+
+    def pose_at(self, time_us: float) -> NDArray[np.float64] | None:
+        """Give the true pose (3, 3) at a time, None where none is known."""
+        if not len(self.poses):
+            return None
+        nearest = np.abs(self.pose_t_us - time_us).argmin()
+        ahead = np.eye(3)
+        ahead[:2, 2] = self.velocity * (time_us - self.pose_t_us[nearest])
+        return ahead @ (self.poses[nearest] / self.poses[nearest, 2, 2])
+
+    @property
+    def velocity(self) -> NDArray[np.float64]:
+        """Mean velocity of the code's centre by its true poses (2,), 0 where none are known [px/us]."""
+        if len(self.poses) < 2:
+            return np.zeros(2)
+        half = len(self.truth.modules) / 2.0
+        ends = self.poses[[0, -1]] @ np.array([half, half, 1.0])
+        began, ended = ends[:, :2] / ends[:, 2:]
+        return (ended - began) / float(self.pose_t_us[-1] - self.pose_t_us[0])
 
 
 def load_manifest(folder: Path) -> list[Entry]:
@@ -210,14 +233,25 @@ def load_sequence(folder: Path, entry: Entry) -> Sequence:
     )
     t, x, y, p = (np.concatenate([getattr(part, name) for part in [empty, *chunks]]) for name in "txyp")
     events = EventArray(t, x, y, p, width, height)
-    return Sequence(entry, entry.truth(), events, _frames(path, events))
+    frames, pose_t_us, poses = _truth_and_frames(path, events)
+    return Sequence(entry, entry.truth(), events, frames, pose_t_us, poses)
 
 
-def _frames(path: Path, events: EventArray) -> NDArray[np.uint8]:
+def _truth_and_frames(
+    path: Path, events: EventArray
+) -> tuple[NDArray[np.uint8], NDArray[np.int64], NDArray[np.float64]]:
+    """Read what only recordings in HDF5 hold, and not all of them."""
     import h5py
 
+    frames = np.empty((0, events.height, events.width), np.uint8)
+    pose_t_us, poses = np.empty(0, np.int64), np.empty((0, 3, 3))
     if path.is_file() and h5py.is_hdf5(path):
         with h5py.File(path) as file:
             if "frames/image" in file:
-                return np.asarray(file["frames/image"], np.uint8)
-    return np.empty((0, events.height, events.width), np.uint8)
+                frames = np.asarray(file["frames/image"], np.uint8)
+            if "truth/H" in file:
+                pose_t_us, poses = (
+                    np.asarray(file["truth/t_us"], np.int64),
+                    np.asarray(file["truth/H"], np.float64),
+                )
+    return frames, pose_t_us, poses

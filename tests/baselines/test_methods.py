@@ -93,11 +93,6 @@ def test_own_reads(recording, windows):
     assert seen == [(25, 25)]
 
 
-def test_names_say_what_is_on():
-    assert Own(windows=8, lag=False).name == "evqr_fused_no_lag"
-    assert Own().name == "evqr"
-
-
 def test_the_paper_s_descent_reads_and_shows_its_iterations(window):
     seen = []
     outcome = Descent(VERSION).read(window, lambda i, q: seen.append(i) or i >= 8)
@@ -163,4 +158,4 @@ def test_methods_say_that_there_is_nothing(recording):
     empty = make_window(recording.events, -10, -5)
     for method in (Own(), Descent(VERSION), Integrate(), WithoutQr()):
         outcome = method.read(empty, unwatched)
-        assert outcome.text is None and not outcome.converged, method.name
+        assert outcome.text is None and not outcome.converged, method
