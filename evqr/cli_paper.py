@@ -55,9 +55,9 @@ def make(folder: Path, jobs: int, windows: int | None) -> int:
 
 
 SWEEP_METHODS = ("without_qr", "descent", "evqr", "evqr_no_lag", "integrate")
-STRETCHES = (0.5, 2.0, 4.0)
-SHARES = (0.5, 0.25, 0.12, 0.06)
-SWEEP_TRIALS = 20
+STRETCHES = (0.5, 2.0)
+SHARES = (0.5, 0.25, 0.12)
+SWEEP_TRIALS = 5
 QUICK_TRIALS, QUICK_WINDOWS = 2, 130
 
 
@@ -138,13 +138,15 @@ def table1(
         number = {name: QUICK_TRIALS if quick else None for name in METHODS}
         for method, count in trials:
             number |= {name: count for name in ([method] if method else METHODS)}
-        table = [Cell(recording=e.name, method=m, trials=number[m]) for e in entries for m in chosen]
+        table = [
+            Cell(recording=e.name, method=m, trials=number[m], quick=quick) for e in entries for m in chosen
+        ]
         more: list[Cell] = []
         if sweep or (sweep is None and not quick):
             for entry in entries:
                 for method in (m for m in chosen if m in SWEEP_METHODS):
                     count = min(number[method] or SWEEP_TRIALS, SWEEP_TRIALS)
-                    base = Cell(recording=entry.name, method=method, trials=count)
+                    base = Cell(recording=entry.name, method=method, trials=count, quick=quick)
                     more += [replace(base, stretch=stretch) for stretch in STRETCHES]
                     more += [replace(base, keep=share) for share in SHARES]
         cells = [*table, *more]

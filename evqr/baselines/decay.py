@@ -52,7 +52,7 @@ class Decay:
         tau = seen.seconds / FADE
         image = accumulate(seen, tau)
         grey = stretch(image, self.cfg.contrast)
-        return Outcome(image=image, text=decode(grey), windows=self.windows)
+        return Outcome(image=image, text=decode(grey), time_us=seen.end_us, windows=self.windows)
 
 
 def accumulate(window: Window, tau: float) -> NDArray[np.float32]:

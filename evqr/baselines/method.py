@@ -26,6 +26,7 @@ class Outcome:
     text                     what it reads; None when nothing, or when reading its image is left to others
     converged                whether it ended by its own criterion
     pose : (3, 3)            code coordinates to px at the middle of its last window, of modules; or None
+    time_us                  time that the image or the modules are of [us]; None: the middle of what was seen
     windows                  windows of events that it needed, of those it was given
     confidence               that the text is right, 0 to 1; None where it does not say
     """
@@ -35,6 +36,7 @@ class Outcome:
     text: str | None = None
     converged: bool = True
     pose: NDArray[np.float64] | None = None
+    time_us: float | None = None
     windows: int = 1
     confidence: float | None = None
 

@@ -48,6 +48,7 @@ class Own:
             best = Outcome(
                 modules=estimate.q,
                 pose=sighting.pose,
+                time_us=sighting.time_us,
                 text=decoded.text if read else None,
                 windows=index + 1,
                 confidence=decoded.confidence if read else None,

@@ -20,19 +20,21 @@ class Row:
     title
     target         "module:class"
     options        of the class
+    quick          options more, where a try is enough
     told_version   whether the class is told the version of the code, too
     """
 
     title: str
     target: str
     options: Mapping[str, Any] = field(default_factory=dict)
+    quick: Mapping[str, Any] = field(default_factory=dict)
     told_version: bool = False
 
 
 METHODS: Mapping[str, Row] = MappingProxyType(
     {
         "image": Row(title="Image", target="evqr.baselines.camera:Camera"),
-        "bardow": Row(title="Bardow et al.", target="evqr.baselines.bardow:Bardow"),
+        "bardow": Row(title="Bardow et al.", target="evqr.baselines.bardow:Bardow", quick={"iterations": 12}),
         "without_qr": Row(title="w/o QR", target="evqr.baselines.without_qr:WithoutQr"),
         "descent": Row(
             title="Ours (the paper's)", target="evqr.baselines.descent:Descent", told_version=True
@@ -50,9 +52,10 @@ METHODS: Mapping[str, Row] = MappingProxyType(
 )
 
 
-def make_method(name: str, version: int) -> Method:
-    """Make a method for codes of a version."""
+def make_method(name: str, version: int, *, quick: bool = False) -> Method:
+    """Make a method for codes of a version; quick: one that gives up earlier, if it takes long."""
     row = METHODS[name]
     module, _, attribute = row.target.partition(":")
     told = {"version": version} if row.told_version else {}
-    return getattr(importlib.import_module(module), attribute)(**row.options, **told)
+    more = row.quick if quick else {}
+    return getattr(importlib.import_module(module), attribute)(**row.options, **told, **more)

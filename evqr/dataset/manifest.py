@@ -7,7 +7,7 @@ Each scene needs these fields.  Optional ones: ``mask`` (0 to 7) of the printed 
 (rows of 0 and 1, 1 dark), where it was not printed by segno, whose choice is taken otherwise; ``start_us``
 and ``end_us``, event times between which the whole code is in view; ``sensor`` ([width, height]) and
 ``time_unit`` where the recording does not tell them.  Frames of a camera are optional too: ``frames/image``
-(N, Y, X) uint8 in the recording, if that is HDF5.
+(N, Y, X) uint8 and ``frames/t`` (N,) [us] in the recording, if that is HDF5.
 """
 
 from __future__ import annotations
@@ -99,6 +99,7 @@ class Sequence:
     truth
     events : EventArray
     frames : (N, Y, X) uint8   of a camera; N is 0 without one
+    frame_t_us : (N,)          middles of their exposures [us]
     pose_t_us : (K,)           times of the true poses [us]; K is 0 where they are not known
     poses : (K, 3, 3)          code coordinates to px
     """
@@ -107,6 +108,7 @@ class Sequence:
     truth: Truth
     events: EventArray
     frames: NDArray[np.uint8]
+    frame_t_us: NDArray[np.int64]
     pose_t_us: NDArray[np.int64]
     poses: NDArray[np.float64]
 
@@ -233,25 +235,25 @@ def load_sequence(folder: Path, entry: Entry) -> Sequence:
     )
     t, x, y, p = (np.concatenate([getattr(part, name) for part in [empty, *chunks]]) for name in "txyp")
     events = EventArray(t, x, y, p, width, height)
-    frames, pose_t_us, poses = _truth_and_frames(path, events)
-    return Sequence(entry, entry.truth(), events, frames, pose_t_us, poses)
+    return Sequence(entry, entry.truth(), events, *_frames_and_poses(path, events))
 
 
-def _truth_and_frames(
+def _frames_and_poses(
     path: Path, events: EventArray
-) -> tuple[NDArray[np.uint8], NDArray[np.int64], NDArray[np.float64]]:
-    """Read what only recordings in HDF5 hold, and not all of them."""
+) -> tuple[NDArray[np.uint8], NDArray[np.int64], NDArray[np.int64], NDArray[np.float64]]:
+    """Read what only recordings in HDF5 hold, and not all of them: frames and poses with their times."""
     import h5py
 
     frames = np.empty((0, events.height, events.width), np.uint8)
-    pose_t_us, poses = np.empty(0, np.int64), np.empty((0, 3, 3))
+    frame_t_us, pose_t_us, poses = np.empty(0, np.int64), np.empty(0, np.int64), np.empty((0, 3, 3))
     if path.is_file() and h5py.is_hdf5(path):
         with h5py.File(path) as file:
             if "frames/image" in file:
                 frames = np.asarray(file["frames/image"], np.uint8)
+                frame_t_us = np.asarray(file["frames/t"], np.int64)
             if "truth/H" in file:
                 pose_t_us, poses = (
                     np.asarray(file["truth/t_us"], np.int64),
                     np.asarray(file["truth/H"], np.float64),
                 )
-    return frames, pose_t_us, poses
+    return frames, frame_t_us, pose_t_us, poses

@@ -43,6 +43,7 @@ class Cell:
     trials      windows or frames, spread evenly over the recording; None: all
     stretch     length of the windows, of the manifest's
     keep        share of the events that is kept, at random
+    quick       whether methods that take long give up earlier
     """
 
     recording: str
@@ -50,6 +51,7 @@ class Cell:
     trials: int | None = None
     stretch: float = 1.0
     keep: float = 1.0
+    quick: bool = False
 
     @property
     def name(self) -> str:
@@ -94,7 +96,7 @@ class CellResult:
 
 def run_cell(folder: Path, entry: Entry, cell: Cell) -> dict[str, Any]:
     """Compute a cell; the result is what its file holds."""
-    method = make_method(cell.method, entry.version)
+    method = make_method(cell.method, entry.version, quick=cell.quick)
     sequence = load_sequence(folder, entry)
     rng = np.random.default_rng(SEED)
     trials, picture = [], None
@@ -104,7 +106,10 @@ def run_cell(folder: Path, entry: Entry, cell: Cell) -> dict[str, Any]:
         trial, outcome = run_trial(method, seen, sequence)
         trials.append(trial)
         if index == len(inputs) // 2:
-            picture = picture_of(outcome, seen, sequence)
+            time_us = outcome.time_us
+            if time_us is None:
+                time_us = seen.middle_us if isinstance(seen, Window) else sequence.frame_t_us[place]
+            picture = picture_of(outcome, time_us, sequence)
     return {
         **_key(folder, entry, cell),
         "machine": machine(),
@@ -142,7 +147,7 @@ def _inputs(method: Method, sequence: Sequence, cell: Cell) -> list[int]:
 def _seen(method: Method, sequence: Sequence, place: int, cell: Cell, rng: np.random.Generator) -> Any:
     if method.takes == "frame":
         return sequence.frames[place]
-    window: Window = sequence.window(place, cell.stretch * method.windows)
+    window = sequence.window(place, cell.stretch * method.windows)
     return window if cell.keep == 1.0 else window.keep(rng.random(len(window)) < cell.keep)
 
 

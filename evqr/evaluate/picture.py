@@ -2,15 +2,12 @@
 
 from __future__ import annotations
 
-from typing import Any
-
 import numpy as np
 from numpy.typing import NDArray
 
 from evqr.baselines.method import Outcome
 from evqr.dataset.manifest import Sequence
 from evqr.region import outline
-from evqr.windows import Window
 
 SIZE = 160
 """Pixels a side."""
@@ -19,14 +16,18 @@ MARGIN = 3.0
 """Modules around the code that are shown."""
 
 
-def picture_of(outcome: Outcome, seen: Any, sequence: Sequence) -> NDArray[np.uint8] | None:
+def picture_of(outcome: Outcome, time_us: float, sequence: Sequence) -> NDArray[np.uint8] | None:
     """Draw an outcome, (SIZE, SIZE); None where there is nothing to draw.
 
     An image is shown around the true place of the code, or whole where that is not known or the image has
     other axes than the sensor's.  Modules are drawn by the pose that the method found, as in the paper.
+
+    Parameters
+    ----------
+    time_us   that the outcome is of [us]
     """
     shape = (sequence.events.height, sequence.events.width)
-    box = _box(seen, sequence) if outcome.image is None or outcome.image.shape == shape else None
+    box = _box(time_us, sequence) if outcome.image is None or outcome.image.shape == shape else None
     if outcome.image is not None:
         low, step = box or (np.zeros(2), max(outcome.image.shape) / SIZE)
         at = low[:, None] + step * (np.arange(SIZE) + 0.5)
@@ -52,11 +53,9 @@ def picture_of(outcome: Outcome, seen: Any, sequence: Sequence) -> NDArray[np.ui
     return np.where(inside, np.where(value > 0, 255, 0), 128).astype(np.uint8)
 
 
-def _box(seen: Any, sequence: Sequence) -> tuple[NDArray[np.float64], float] | None:
+def _box(time_us: float, sequence: Sequence) -> tuple[NDArray[np.float64], float] | None:
     """Corner of the picture and step between its pixels [px]."""
-    if not isinstance(seen, Window):
-        return None
-    pose = sequence.pose_at(seen.middle_us)
+    pose = sequence.pose_at(time_us)
     if pose is None:
         return None
     corners = outline(pose, len(sequence.truth.modules), MARGIN)

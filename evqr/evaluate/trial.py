@@ -61,6 +61,11 @@ class Watcher:
         read = self.iterations_to_read is not None
         return read and (self._matched or self.best_accuracy == 1.0)
 
+    def note_last(self, modules: NDArray[Any] | None) -> None:
+        """Take down the accuracy of what the method ended with, which it may not have shown."""
+        if modules is not None:
+            self.best_accuracy = max(bit_accuracy(signs(modules), self._truth), self.best_accuracy or 0.0)
+
     def _note(self, modules: NDArray[Any] | None, iteration: int, seconds: float, began: float) -> None:
         """Take down what an iterate's modules are worth."""
         if modules is None or modules.shape != self._truth.modules.shape:
@@ -93,6 +98,7 @@ def run_trial(method: Method, seen: Any, sequence: Sequence) -> tuple[Trial, Out
     if method.matched and outcome.image is not None:
         modules = find_code(outcome.image, version)
         text = None if modules is None else text_of(modules)
+        watcher.note_last(modules)
         image_text = decode(stretch(outcome.image.astype(np.float32), CONTRAST))
     elif outcome.image is not None:
         image_text = outcome.text
