@@ -55,7 +55,7 @@ class BardowConfig:
     threshold: float = 0.2
     reduction: int = 2
     relinearise: int = 5
-    tolerance: float = 0.02
+    tolerance: float = 0.03
     max_iterations: int = 60
 
 
@@ -166,7 +166,7 @@ class Volume:
         return change
 
     def _middle(self) -> NDArray[np.float32]:
-        middle: NDArray[np.float32] = self.luminance.numpy()[:, :, self._cfg.slices // 2]
+        middle = np.asarray(self.luminance.numpy()[:, :, self._cfg.slices // 2], np.float32)
         return middle.copy()
 
     def image(self) -> NDArray[np.float32]:

@@ -137,7 +137,9 @@ class Descent:
             return None
         finder, workspace = solver.config.finder, solver.workspace
         peaks, pyramid = find_peaks(window, motion.velocity, finder, workspace=workspace)
-        guesses = [h for h in find_hypotheses(peaks, finder) if h.version == self.version]
+        guesses = [
+            h for h in find_hypotheses(peaks, finder, workspace=workspace) if h.version == self.version
+        ]
         if not guesses:
             return None
         candidates, _ = screen(guesses, pyramid, solver.config.stage_one, workspace=workspace)

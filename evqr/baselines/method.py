@@ -9,7 +9,7 @@ from typing import Any, Literal, Protocol
 import numpy as np
 from numpy.typing import NDArray
 
-from evqr.windows import Window
+from evqr.windows import Window, make_window
 
 Watch = Callable[[int, NDArray[Any]], bool]
 """Called with the number of an iteration and what it gave, modules or an image; True: enough was seen."""
@@ -69,16 +69,4 @@ def cut(window: Window, count: int, index: int) -> Window:
     """Give the ``index``-th of ``count`` equal parts of a window, its times relative to its own middle."""
     step = (window.end_us - window.start_us) / count
     start, end = (window.start_us + round(step * k) for k in (index, index + 1))
-    # stamps are whole microseconds; a quarter keeps rounding from moving one across an edge
-    low, high = np.searchsorted(window.t, [(edge - 0.25 - window.middle_us) * 1e-6 for edge in (start, end)])
-    shift = np.float32((window.middle_us - 0.5 * (start + end)) * 1e-6)
-    return Window(
-        window.x[low:high],
-        window.y[low:high],
-        window.t[low:high] + shift,
-        window.p[low:high],
-        start,
-        end,
-        window.width,
-        window.height,
-    )
+    return make_window(window.events, start, end)

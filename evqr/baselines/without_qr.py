@@ -94,7 +94,7 @@ class WithoutQr:
         """Make E (Y, X): the window's events, transported by a motion [px per window]."""
         space = self._workspace
         image = space.buffer("without qr", (1, window.height, window.width))
-        space.clear(image)
+        space.get(image).fill(0.0)
         space.backend.splat_events(
             space.put(window.x),
             space.put(window.y),
