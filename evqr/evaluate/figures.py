@@ -16,11 +16,14 @@ if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
-COLOURS = ("#adb5bd", "#e8590c", "#2f9e44", "#1971c2", "#c2255c", "#e64980", "#9c36b5", "#f08c00", "#5c940d")
+COLOURS = ("#868e96", "#e8590c", "#2f9e44", "#1971c2", "#c2255c", "#f783ac", "#9c36b5", "#f08c00", "#0b7285")
 EDGE_BOUNDS = (0, 1, 2, 3, 4, 6, 8, 12, 16, 24, 32)
 """Events per module edge: bounds of the intervals."""
 
-CONFIDENCE_BOUNDS = (0.0, 0.9, 0.99, 0.999, 0.9999, 0.99999, 1.0)
+CONFIDENCE_BOUNDS = (0.0, 0.9, 0.99, 0.999, 1.0 - 1e-4, 1.0 - 1e-6, 1.0 - 1e-9, 1.0)
+
+NEVER = 3.0
+"""What did not happen in N tries has a chance below this over N, at 95 %."""
 
 
 def figures_of(table: Sequence[CellResult], sweep: Sequence[CellResult]) -> Mapping[str, Figure]:
@@ -38,7 +41,11 @@ def figures_of(table: Sequence[CellResult], sweep: Sequence[CellResult]) -> Mapp
     everything = [*table, *sweep]
     figures = {
         "figure7": _grid(table, _draw_picture, "estimated images"),
-        "figure8": _grid(table, _draw_modules, "modules by the mode over the windows"),
+        "figure8": _grid(
+            [r for r in table if any(trial.best_accuracy is not None for trial in r.trials)],
+            _draw_modules,
+            "modules by the mode over the windows: magenta dark, truly light; green light, truly dark",
+        ),
         "read-rate-against-angle": _against_angle(table),
         "read-rate-against-motion": _against(
             [r for r in everything if r.cell.keep == 1.0],
@@ -79,7 +86,7 @@ def _grid(table: Sequence[CellResult], draw: Callable[[Axes, CellResult], bool],
             axes.text(
                 0.5,
                 0.5,
-                "no code found",
+                "none converged",
                 ha="center",
                 va="center",
                 size=8,
@@ -146,24 +153,26 @@ def _against_angle(table: Sequence[CellResult]) -> Figure | None:
 
 
 def _against(results: Sequence[CellResult], key: Callable[[CellResult], float], label: str) -> Figure | None:
-    """Draw read rate against something that is the same for a cell's trials, a point a cell."""
+    """Draw read rate against something that is the same for a cell's trials; the mean where cells share it."""
     cells = [r for r in results if r.speed_px_ms > 0.0 and r.cell.method != "image"]
     if not cells:
         return None
     figure = _figure(7.0, 4.4)
     axes = figure.subplots()
     for method in _methods(cells):
-        chosen = [r for r in cells if r.cell.method == method]
+        rates: dict[float, list[float]] = {}
+        for result in (r for r in cells if r.cell.method == method):
+            rates.setdefault(round(key(result), 3), []).append(100.0 * (result.score.yield_rate or 0.0))
         axes.plot(
-            [key(r) for r in chosen],
-            [100.0 * (r.score.yield_rate or 0.0) for r in chosen],
-            "o",
-            alpha=0.7,
+            sorted(rates),
+            [np.mean(rates[at]) for at in sorted(rates)],
+            "o-",
+            alpha=0.8,
             color=_colour(method),
             label=METHODS[method].title,
         )
-    axes.set(xlabel=label, ylabel="read, of all windows [%]", ylim=(-3, 103))
-    figure.legend(loc="outside right upper", fontsize=8)
+    axes.set(xlabel=label, ylabel="read, of all windows [%]", xscale="log", ylim=(-3, 103))
+    figure.legend(loc="outside lower center", ncols=3, fontsize=8)
     return figure
 
 
@@ -242,20 +251,38 @@ def _confidence(results: Sequence[CellResult]) -> Figure | None:
     ]
     if not readings:
         return None
-    stated, right = zip(*readings, strict=True)
-    bins, error = calibration(stated, right, CONFIDENCE_BOUNDS)
-    figure = _figure(6.0, 4.2)
+    bins, error = calibration([c for c, _ in readings], [right for _, right in readings], CONFIDENCE_BOUNDS)
+    figure = _figure(7.0, 4.2)
     axes = figure.subplots()
     places = np.arange(len(bins))
-    axes.bar(places - 0.2, [1.0 - b.key for b in bins], 0.4, label="stated chance to be wrong", color=GREY)
-    axes.bar(places + 0.2, [1.0 - b.value for b in bins], 0.4, label="share that is wrong", color=FALSE_DARK)
-    axes.set_xticks(places, [f"{b.low:g} to {b.high:g}\n{b.count} readings" for b in bins], size=8)
-    axes.set(
-        title=f"{len(readings)} readings, mean distance {error:.2g}",
-        xlabel="stated confidence",
-        yscale="symlog",
-        ylim=(0.0, None),
+    wrong = np.array([1.0 - b.value for b in bins])
+    bound = np.array([NEVER / b.count for b in bins])
+    axes.bar(
+        places - 0.2,
+        [max(1.0 - b.key, 1e-15) for b in bins],
+        0.4,
+        label="stated chance to be wrong",
+        color=GREY,
     )
-    axes.set_yscale("symlog", linthresh=1e-6)
+    axes.bar(
+        places + 0.2, np.where(wrong > 0.0, wrong, 0.0), 0.4, label="share that is wrong", color=FALSE_DARK
+    )
+    axes.bar(
+        places + 0.2,
+        np.where(wrong > 0.0, 0.0, bound),
+        0.4,
+        label="none is wrong: bound at 95 %",
+        fill=False,
+        edgecolor=FALSE_DARK,
+        linestyle=":",
+    )
+    axes.set_xticks(places, [f"1 - {1.0 - b.low:.0e} and more\n{b.count} readings" for b in bins], size=8)
+    axes.set(
+        title=f"{len(readings)} readings, {int(sum(1.0 - right for _, right in readings))} wrong; "
+        f"mean distance {error:.1g}",
+        xlabel="stated confidence",
+        yscale="log",
+        ylim=(1e-15, 1.0),
+    )
     axes.legend(fontsize=8)
     return figure
