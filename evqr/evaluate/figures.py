@@ -153,7 +153,7 @@ def _against_angle(table: Sequence[CellResult]) -> Figure | None:
 
 
 def _against(results: Sequence[CellResult], key: Callable[[CellResult], float], label: str) -> Figure | None:
-    """Draw read rate against something that is the same for a cell's trials; the mean where cells share it."""
+    """Draw read rate against what is the same for a cell's trials; the mean where cells share it."""
     cells = [r for r in results if r.speed_px_ms > 0.0 and r.cell.method != "image"]
     if not cells:
         return None
