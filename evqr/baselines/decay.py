@@ -1,10 +1,10 @@
 """Row 6b: an accumulator that forgets, and an ordinary decoder; no motion is estimated.
 
 Each event adds its polarity to its pixel, and what is there fades with a time constant: the image is that
-of dv-processing's ``Accumulator`` with exponential, synchronous decay (a test compares the two where that is
-installed), in one pass over arrays.  At a pixel that an edge passed at time s the value is the sum of its
-steps times exp(-(t - s) / tau), so the image is the luminance behind each edge, high-passed.  The default time
-constant is the best of 3, 6 and 12 windows on the scenes of `evqr.dataset`.
+of dv-processing's ``Accumulator`` with exponential, synchronous decay (a test compares the two where that
+is installed), in one pass over arrays.  At a pixel that an edge passed at time s the value is the sum of
+its steps times exp(-(t - s) / tau), so the image is the luminance behind each edge, high-passed.  The
+default time constant is the best of 3, 6 and 12 windows on the scenes of `evqr.dataset`.
 """
 
 from __future__ import annotations
