@@ -25,7 +25,7 @@ from evqr.simulate.config import PRESETS, CodePlacement, SceneConfig, SensorConf
 
 VERSION, LEVEL = 2, "H"
 ANGLES = (0, 30, 45)
-TEXTS = ("QRECD-A: CODE IN", "QRECD-B: MOTION ")
+TEXTS = ("QRECD-A: CODE IN", "QRECD-B: ON RAILS")
 
 
 @dataclass(frozen=True, kw_only=True)

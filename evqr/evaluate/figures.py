@@ -59,8 +59,8 @@ def figures_of(table: Sequence[CellResult], sweep: Sequence[CellResult]) -> Mapp
     return {name: figure for name, figure in figures.items() if figure is not None}
 
 
-def _figure(width: float, height: float) -> Figure:
-    return figure_class()(figsize=(width, height), dpi=100, facecolor="white", layout="constrained")
+def _figure(width: float, height: float, *, dpi: int = 100) -> Figure:
+    return figure_class()(figsize=(width, height), dpi=dpi, facecolor="white", layout="constrained")
 
 
 def _colour(method: str) -> str:
@@ -73,7 +73,7 @@ def _grid(table: Sequence[CellResult], draw: Callable[[Axes, CellResult], bool],
     columns = [m for m in METHODS if any(r.cell.method == m for r in table)]
     if not rows or not columns:
         return None
-    figure = _figure(1.7 * len(columns) + 1.0, 1.75 * len(rows) + 0.5)
+    figure = _figure(1.7 * len(columns) + 1.0, 1.75 * len(rows) + 0.5, dpi=75)
     figure.suptitle(title, color=INK)
     all_axes = np.atleast_2d(figure.subplots(len(rows), len(columns), squeeze=False))
     for axes in all_axes.ravel():
