@@ -17,7 +17,7 @@ import numpy as np
 
 from evqr.initial.motion import Motion
 from evqr.recording import Recording
-from evqr.solver import Sighting, Solver, StageClock
+from evqr.solver import Sighting, Solver, StageClock, Unseen
 from evqr.track import Track
 from evqr.types import CodeReading
 from evqr.windows import EventBuffer, Window
@@ -51,7 +51,7 @@ class _Look:
     start_us: int
     end_us: int
     motion: Motion | None
-    found: Sighting | str
+    found: Sighting | Unseen
     clock: StageClock
 
 
@@ -84,7 +84,7 @@ class Passes:
         self._lag_us: tuple[float, float] | None = None
         self._windows = 0
         self._searches = 0
-        self._reason = "no events"
+        self._nearest = Unseen("no events", -1.0)
 
     def run(self) -> None:
         """Work through the recording in order of event time."""
@@ -135,8 +135,8 @@ class Passes:
         for look in looks[: found + 1]:
             self._searches += 1
             self._windows += look.end_us > look.start_us
-            if isinstance(look.found, str):
-                self._reason = look.found
+            if isinstance(look.found, Unseen) and look.found.closest >= self._nearest.closest:
+                self._nearest = look.found
         for look in looks[:found]:
             self._note(look.clock)
         look = looks[found]
@@ -174,10 +174,10 @@ class Passes:
         if motion is None and self._speed is not None:
             motion = solver.motion_at(self.events, at_us)
         if motion is None:
-            return _Look(at_us, at_us, None, "nothing moves", solver.clock)
+            return _Look(at_us, at_us, None, Unseen("nothing moves"), solver.clock)
         end_us = at_us + solver.window_us(motion.speed)
         if not self.events.reaches(end_us):
-            return _Look(at_us, at_us, motion, "the recording ends", solver.clock)
+            return _Look(at_us, at_us, motion, Unseen("the recording ends", -1.0), solver.clock)
         window = self._outside_tracks(self.events.window(at_us, end_us))
         found = solver.look(window, motion, lag_us=self._lag_us)
         return _Look(at_us, end_us, motion, found, solver.clock)
@@ -259,4 +259,4 @@ class Passes:
             best = max(self._unread, key=lambda track: track.seen.score)
             followed = best.last_us - best.first_us
             return f"a code was followed over {followed} us but does not decode: {best.why_not}"
-        return self._reason
+        return self._nearest.reason

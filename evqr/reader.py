@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 from evqr.decode import Decoded, decode_grid
 from evqr.passes import Passes, Progress
 from evqr.recording import Recording, open_recording
-from evqr.solver import Sighting, Solver, StageClock
+from evqr.solver import Sighting, Solver, StageClock, Unseen
 from evqr.stage_two import solve_modules
 from evqr.types import ReadResult, ReadStatus, WindowReading
 from evqr.windows import EventBuffer
@@ -194,10 +194,11 @@ def _read_alone(
     window = events.window(start_us, start_us + length)
     if motion is None:
         motion = solver.motion_in(window)
-    sighting = "nothing moves, or too few events" if motion is None else solver.look(window, motion)
+    unmoved = Unseen("nothing moves, or too few events")
+    sighting = unmoved if motion is None else solver.look(window, motion)
     text, q, solved = None, None, 0
-    if isinstance(sighting, str):
-        reason = sighting
+    if isinstance(sighting, Unseen):
+        reason = sighting.reason
     else:
         with solver.clock("stage_two"):
             estimate = solve_modules(sighting.equations, solver.config.stage_two, workspace=solver.workspace)

@@ -108,6 +108,20 @@ class Sighting:
         return ahead @ self.pose
 
 
+@dataclass(frozen=True)
+class Unseen:
+    """Why a window shows no code.
+
+    Attributes
+    ----------
+    reason    in words
+    closest   correlation of the best candidate with the known modules; 0 without one
+    """
+
+    reason: str
+    closest: float = 0.0
+
+
 @dataclass(frozen=True, eq=False)
 class _Closer:
     """A candidate, refined; ``cells`` and ``image`` are None once their arrays are used again."""
@@ -122,6 +136,12 @@ class _Closer:
     @property
     def score(self) -> float:
         return float(self.found.score[0])
+
+
+def _closeness(found: Sighting | Unseen) -> tuple[bool, float]:
+    """Order what looks have found: a code before none, then by how well it agrees."""
+    seen = isinstance(found, Sighting)
+    return seen, found.score if seen else found.closest
 
 
 def _turned(velocity: NDArray[np.float64], angle: float) -> NDArray[np.float64]:
@@ -177,7 +197,7 @@ class Solver:
 
     def look(
         self, window: Window, motion: Motion, *, lag_us: tuple[float, float] | None = None
-    ) -> Sighting | str:
+    ) -> Sighting | Unseen:
         """Find a code in a window from cold.
 
         Parameters
@@ -186,18 +206,18 @@ class Solver:
 
         Returns
         -------
-        Sighting, or the reason in words why there is none
+        Sighting, or why there is none
         """
         lag_us = self.config.lag_us or lag_us
         if motion.speed <= 0.0:
-            return "nothing moves"
+            return Unseen("nothing moves")
         sure = motion.speed * window.seconds >= SURE_TRAVEL_PX
-        best: Sighting | str = ""
+        best: Sighting | Unseen = Unseen("")
         looks = self.config.finder.looks
         tries = [(0.0, look) for look in looks] if sure else [(turn, looks[-1]) for turn in UNSURE_TURNS]
         for turn, look in tries:
             found = self._look_along(window, _turned(motion.velocity, turn), lag_us, look)
-            if isinstance(best, str) or (isinstance(found, Sighting) and found.score > best.score):
+            if _closeness(found) >= _closeness(best):
                 best = found
             if isinstance(best, Sighting) and best.score >= self.config.stage_one.good_score:
                 break
@@ -209,14 +229,16 @@ class Solver:
         velocity: NDArray[np.float64],
         lag_us: tuple[float, float] | None,
         look: LookConfig,
-    ) -> Sighting | str:
+    ) -> Sighting | Unseen:
         """Find a code that moves with a velocity."""
         cfg, clock, workspace = self.config, self.clock, self.workspace
         with clock("finder"):
             peaks, pyramid = find_peaks(window, velocity, cfg.finder, workspace=workspace, look=look)
             hypotheses = find_hypotheses(peaks, cfg.finder, workspace=workspace, most=look.hypotheses)
         if not hypotheses:
-            return f"no three finder patterns that fit together among {len(peaks.response)} candidates"
+            return Unseen(
+                f"no three finder patterns that fit together among {len(peaks.response)} candidates"
+            )
         best: Sighting | None = None
         closest = 0.0
         iterations = 0
@@ -238,8 +260,8 @@ class Solver:
                 best = found
             if best.score >= self.config.stage_one.good_score:
                 break
-        return (
-            best or f"the best of {len(hypotheses)} candidates agrees too little with a code: {closest:.2f}"
+        return best or Unseen(
+            f"the best of {len(hypotheses)} candidates agrees too little with a code: {closest:.2f}", closest
         )
 
     def _look_closer(

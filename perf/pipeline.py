@@ -20,7 +20,7 @@ from evqr.baselines import descent, integrate
 from evqr.decode import Decoded, decode_grid
 from evqr.initial.finder import find_hypotheses, find_peaks
 from evqr.region import outline
-from evqr.solver import Sighting, Solver, StageClock
+from evqr.solver import Sighting, Solver, StageClock, Unseen
 from evqr.stage_two import solve_modules
 from evqr.types import EventArray
 from evqr.windows import EventBuffer, Window
@@ -119,7 +119,7 @@ def run_tracked(job: Job, solver: Solver) -> str | None:
     return _finish(solver.follow(window, job.before), solver)
 
 
-def _finish(seen: Sighting | str | None, solver: Solver) -> str | None:
+def _finish(seen: Sighting | Unseen | None, solver: Solver) -> str | None:
     if not isinstance(seen, Sighting):
         return None
     with solver.clock("stage_two"):

@@ -9,7 +9,7 @@ from scenes import at, corners, middle_us, noise, scene, window_of
 from evqr.config import ReadConfig
 from evqr.decode import Decoded, decode_grid
 from evqr.initial.motion import Motion
-from evqr.solver import Sighting, Solver
+from evqr.solver import Sighting, Solver, Unseen
 from evqr.stage_two import solve_modules
 from evqr.types import EventArray
 from evqr.windows import make_window
@@ -98,13 +98,14 @@ def test_looking_again_in_between_changes_nothing(solver):
 @pytest.mark.parametrize("count", [0, 300, 20_000])
 def test_a_window_without_a_code_gives_a_reason(count, solver):
     window = make_window(noise(count, 1000), 0, 1000)
-    reason = solver.look(window, Motion(np.array([3000.0, -1000.0]), 1.0))
-    assert isinstance(reason, str)
-    assert len(reason.split()) > 3
+    unseen = solver.look(window, Motion(np.array([3000.0, -1000.0]), 1.0))
+    assert isinstance(unseen, Unseen)
+    assert len(unseen.reason.split()) > 3
+    assert 0.0 <= unseen.closest < solver.config.stage_one.min_score
 
 
 def test_what_does_not_move_cannot_be_seen(solver):
-    assert solver.look(window_of(scene()), Motion(np.zeros(2), 1.0)) == "nothing moves"
+    assert solver.look(window_of(scene()), Motion(np.zeros(2), 1.0)) == Unseen("nothing moves")
 
 
 def test_times_of_the_stages_add_up():
