@@ -1,0 +1,105 @@
+"""Recorded sequences of operations: noted down without running, then run as often as they are called."""
+
+from concurrent.futures import ThreadPoolExecutor
+
+import numpy as np
+import pytest
+
+from evqr_kernels import get_backend
+
+ONE = np.ones(3, np.float32)
+PTR = np.array([0, 3], np.int32)
+
+
+def counting(backend, device):
+    """An image of counts, and a function that counts three events into it and mixes it twofold."""
+    image, mixed = (backend.from_host(np.zeros((1, 4, 16), np.float32), device) for _ in range(2))
+    x, weight = backend.from_host(ONE, device), backend.from_host(ONE, device)
+    ptr, twice = backend.from_host(PTR, device), backend.from_host(np.full((1, 1), 2.0, np.float32), device)
+
+    def run():
+        backend.bin_events(x, x, weight, ptr, 1.0, image)
+        backend.mix_images(image, twice, mixed)
+
+    return image, mixed, run
+
+
+def value(backend, image, device):
+    backend.synchronize(device)
+    return float(backend.to_host(image)[0, 1, 1])
+
+
+def test_a_sequence_runs_when_it_is_called(placed):
+    backend, device = placed.backend, placed.device
+    image, mixed, run = counting(backend, device)
+    recorded = backend.record(run)
+    assert value(backend, image, device) == 0.0
+    for times in (1, 2, 3):
+        recorded()
+        assert value(backend, image, device) == 3.0 * times
+        assert value(backend, mixed, device) == 6.0 * times
+    run()
+    assert value(backend, image, device) == 12.0
+
+
+def test_clearing_is_recorded_too(placed):
+    backend, device = placed.backend, placed.device
+    image, _, run = counting(backend, device)
+
+    def from_zero():
+        backend.clear(image)
+        run()
+
+    recorded = backend.record(from_zero)
+    run()
+    assert value(backend, image, device) == 3.0
+    recorded()
+    recorded()
+    assert value(backend, image, device) == 3.0
+
+
+def test_threads_record_and_replay_each_its_own(placed):
+    backend, device = placed.backend, placed.device
+
+    def work(times):
+        image, _, run = counting(backend, device)
+        recorded = backend.record(run)
+        for _ in range(times):
+            recorded()
+        return value(backend, image, device)
+
+    with ThreadPoolExecutor(4) as pool:
+        assert list(pool.map(work, range(1, 21))) == [3.0 * times for times in range(1, 21)]
+
+
+def test_an_error_ends_the_recording(placed):
+    backend, device = placed.backend, placed.device
+    image, _, run = counting(backend, device)
+
+    def broken():
+        run()
+        raise KeyError("no such thing")
+
+    with pytest.raises(KeyError):
+        backend.record(broken)
+    before = value(backend, image, device)
+    run()
+    assert value(backend, image, device) == before + 3.0
+
+
+def test_a_recorded_sequence_can_be_captured_in_a_graph():
+    """As CUDA graphs are, and on the CPU too."""
+    import warp as wp
+
+    backend = get_backend("warp")
+    device = backend.devices()[-1]
+    image, mixed, run = counting(backend, device)
+    recorded = backend.record(run)
+    recorded()  # modules are loaded
+    with wp.ScopedCapture(device=device) as capture:
+        recorded()
+    assert value(backend, image, device) == 3.0
+    for _ in range(4):
+        wp.capture_launch(capture.graph)
+    assert value(backend, image, device) == 15.0
+    assert value(backend, mixed, device) == 30.0
