@@ -5,9 +5,11 @@ from __future__ import annotations
 import numpy as np
 
 from evqr_kernels.checks import ArrayChecks, Floats, Ints
+from evqr_kernels.interop import any_arrays
 from evqr_kernels.launch import Launch
 
 
+@any_arrays
 def motion_correlation(
     images: Floats, *, radius: int, clip: float, backend: str = "auto", device: str | None = None
 ) -> tuple[Floats, Floats]:
@@ -39,6 +41,7 @@ def motion_correlation(
     return correlation, energy
 
 
+@any_arrays
 def surface_peak(
     surface: Floats, smoother: Floats, *, backend: str = "auto", device: str | None = None
 ) -> Floats:
@@ -65,6 +68,7 @@ def surface_peak(
     return launch.results()[0]
 
 
+@any_arrays
 def clip_outliers(
     image: Floats, *, factor: float, backend: str = "auto", device: str | None = None
 ) -> Floats:
@@ -89,6 +93,7 @@ def clip_outliers(
     return launch.results()[0]
 
 
+@any_arrays
 def reduce_image(image: Floats, *, ratio: float, backend: str = "auto", device: str | None = None) -> Floats:
     """Sum an image over coarser pixels, with fractional coverage at their borders.
 
@@ -112,6 +117,7 @@ def reduce_image(image: Floats, *, ratio: float, backend: str = "auto", device: 
     return launch.results()[0]
 
 
+@any_arrays
 def correlate_templates(
     image: Floats,
     basis: Floats,
@@ -171,6 +177,7 @@ def correlate_templates(
     return response[:, :, :keep], angle[:, :, :keep]
 
 
+@any_arrays
 def local_maxima(
     response: Floats,
     angle: Ints,
@@ -213,6 +220,7 @@ def local_maxima(
     return launch.results()[0]
 
 
+@any_arrays
 def merge_maxima(
     maxima: Floats,
     *,
@@ -248,6 +256,7 @@ def merge_maxima(
     return launch.results()[0]
 
 
+@any_arrays
 def match_corners(
     peaks: Floats, tolerances: Floats, *, most: int = 8, backend: str = "auto", device: str | None = None
 ) -> Floats:
