@@ -6,6 +6,8 @@
 import math
 from itertools import pairwise
 
+import numpy as np
+
 
 def hat(xp, s):
     return xp.clip(1 - xp.abs(s), 0, None)
@@ -53,17 +55,22 @@ def deposit_events(xp, x, y, t, weight, window_ptr, motion, *, shape):
 def lag_operator(xp, deposit, deposit_idx, direction, lag, taps):
     reach = taps.shape[1] // 2
 
-    def filtered(image, weights, axis):
-        return sum(weights[k] * xp.roll(image, reach - k, axis) for k in range(2 * reach + 1))
+    def filter_of(weights, size):
+        shifts = xp.asarray(np.stack([np.eye(size, k=reach - k, dtype=dtype) for k in range(2 * reach + 1)]))
+        return xp.einsum("k,kij->ij", weights, shifts)
 
+    dtype = np.asarray(taps).dtype
+    (down, down_slope), (right, right_slope) = (
+        [filter_of(weights, size) for weights in taps] for size in deposit.shape[2:]
+    )
     images = []
     for n, b in enumerate(deposit_idx):
         total = 0
         for p in range(2):
-            blurred = filtered(filtered(deposit[int(b), p], taps[0], 1), taps[0], 0)
-            slope_x = filtered(filtered(deposit[int(b), p], taps[1], 1), taps[0], 0)
-            slope_y = filtered(filtered(deposit[int(b), p], taps[0], 1), taps[1], 0)
-            total = total + blurred - lag[n, p] * (direction[n, 0] * slope_x + direction[n, 1] * slope_y)
+            image = deposit[int(b), p]
+            slope_x, slope_y = down.T @ image @ right_slope, down_slope.T @ image @ right
+            slope = direction[n, 0] * slope_x + direction[n, 1] * slope_y
+            total = total + down.T @ image @ right - lag[n, p] * slope
         row, column = (xp.arange(size) for size in total.shape)
         inner = [(k >= reach) & (k < len(k) - reach) for k in (row, column)]
         images.append(total * inner[0][:, None] * inner[1][None])
