@@ -21,7 +21,8 @@ EVENT_COLUMNS = {"bin_events": 3, "splat_events": 4, "splat_events_adjoint": 4, 
 EVENT_COLUMNS["deposit_events_adjoint"] = 4
 
 SHARED = {
-    "correlate_templates": (1, 2, 3),
+    "correlate_templates": (2, 3, 4),
+    "mix_images": (0,),
     "surface_peak": (1,),
     "match_corners": (1,),
     "lag_operator": (0, 4),
