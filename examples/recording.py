@@ -57,8 +57,7 @@ def report(found: NDArray[np.floating], window: Window) -> int:
     """Print found and true motion; give the exit status: 0 when they agree."""
     error = float(np.linalg.norm(found - window.velocity) / np.linalg.norm(window.velocity))
     print(f"{len(window.x)} events in {1e3 * window.seconds:.2f} ms")
-    print(
-        f"found ({found[0]:.0f}, {found[1]:.0f}) px/s, true ({window.velocity[0]:.0f}, {window.velocity[1]:.0f})"
-    )
+    for name, (x, y) in (("found", found), ("true", window.velocity)):
+        print(f"{name} ({x:.0f}, {y:.0f}) px/s")
     print(f"they differ by {error:.1%} of the speed, {TOLERANCE:.0%} are allowed")
     return int(error > TOLERANCE)
