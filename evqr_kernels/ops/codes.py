@@ -5,9 +5,11 @@ from __future__ import annotations
 import numpy as np
 
 from evqr_kernels.checks import ArrayChecks, Floats, Ints
+from evqr_kernels.interop import any_arrays
 from evqr_kernels.launch import CHUNK, Launch
 
 
+@any_arrays
 def sample_moments(
     image: Floats, image_idx: Ints, pose: Floats, points: Floats, table: Floats, *,
     active: Ints | None = None, backend: str = "auto", device: str | None = None,
@@ -37,6 +39,7 @@ def sample_moments(
     return launch.results()[0]
 
 
+@any_arrays
 def sample_moments_adjoint(
     image: Floats, image_idx: Ints, pose: Floats, points: Floats, table: Floats, adj_moments: Floats, *,
     active: Ints | None = None, out: Floats | None = None, backend: str = "auto", device: str | None = None,
@@ -64,6 +67,7 @@ def sample_moments_adjoint(
     return launch.results()[0]
 
 
+@any_arrays
 def align_poses(
     image: Floats, image_idx: Ints, pose: Floats, points: Floats, table: Floats, terms: Ints,
     factors: Ints, *, centre: float, scale: float, ridge: float = 1e-3, damping: float = 1e-3,
@@ -111,6 +115,7 @@ def align_poses(
     return poses, values
 
 
+@any_arrays
 def code_rhs(
     image: Floats, pose: Floats, lattice: Floats, profile: Floats, slope: Floats, gain: Floats, *,
     samples_a_module: int, backend: str = "auto", device: str | None = None,
@@ -146,6 +151,7 @@ def code_rhs(
     return launch.results()[0]
 
 
+@any_arrays
 def solve_code(
     rhs: Floats, stencil: Floats, damping: Floats, free: Ints, start: Floats, *, max_iterations: int = 60,
     tolerance: float = 1e-3, backend: str = "auto", device: str | None = None,

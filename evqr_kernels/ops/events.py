@@ -6,9 +6,11 @@ import numpy as np
 
 from evqr_kernels.checks import ArrayChecks, Floats, Ints
 from evqr_kernels.config import SplatConfig
+from evqr_kernels.interop import any_arrays
 from evqr_kernels.launch import CHUNK, Launch
 
 
+@any_arrays
 def bin_events(
     x: Floats, y: Floats, weight: Floats, window_ptr: Ints, *, reduction: float = 1.0,
     shape: tuple[int, int] | None = None, out: Floats | None = None, backend: str = "auto",
@@ -38,6 +40,7 @@ def bin_events(
     return launch.results()[0]
 
 
+@any_arrays
 def splat_events(
     x: Floats, y: Floats, t: Floats, weight: Floats, window_ptr: Ints, motion: Floats, *,
     lag: Floats | None = None, frame: Floats | None = None, cfg: SplatConfig | None = None,
@@ -80,6 +83,7 @@ def splat_events(
     return launch.results()[0]
 
 
+@any_arrays
 def splat_events_adjoint(
     x: Floats, y: Floats, t: Floats, weight: Floats, window_ptr: Ints, motion: Floats, adj_image: Floats, *,
     lag: Floats | None = None, frame: Floats | None = None, cfg: SplatConfig | None = None,
@@ -114,6 +118,7 @@ def splat_events_adjoint(
     return adj_weight, adj_motion
 
 
+@any_arrays
 def deposit_events(
     x: Floats, y: Floats, t: Floats, weight: Floats, window_ptr: Ints, motion: Floats, *,
     frame: Floats | None = None, shape: tuple[int, int] | None = None, out: Floats | None = None,
@@ -153,6 +158,7 @@ def deposit_events(
     return launch.results()[0]
 
 
+@any_arrays
 def deposit_events_adjoint(
     x: Floats, y: Floats, t: Floats, weight: Floats, window_ptr: Ints, motion: Floats, adj_deposit: Floats, *,
     frame: Floats | None = None, backend: str = "auto", device: str | None = None,
@@ -181,6 +187,7 @@ def deposit_events_adjoint(
     return launch.results()[0]
 
 
+@any_arrays
 def lag_operator(
     deposit: Floats, deposit_idx: Ints, direction: Floats, lag: Floats, taps: Floats, *,
     backend: str = "auto", device: str | None = None,
@@ -220,6 +227,7 @@ def lag_operator(
     return launch.results()[0]
 
 
+@any_arrays
 def lag_operator_adjoint(
     deposit_idx: Ints, direction: Floats, lag: Floats, taps: Floats, adj_image: Floats, *, deposits: int,
     backend: str = "auto", device: str | None = None,

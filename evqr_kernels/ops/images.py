@@ -5,9 +5,11 @@ from __future__ import annotations
 import numpy as np
 
 from evqr_kernels.checks import ArrayChecks, Floats, Ints
+from evqr_kernels.interop import any_arrays
 from evqr_kernels.launch import Launch
 
 
+@any_arrays
 def motion_correlation(
     images: Floats, *, radius: int, clip: float, backend: str = "auto", device: str | None = None
 ) -> tuple[Floats, Floats]:
@@ -39,6 +41,7 @@ def motion_correlation(
     return correlation, energy
 
 
+@any_arrays
 def surface_peak(
     surface: Floats, smoother: Floats, *, backend: str = "auto", device: str | None = None
 ) -> Floats:
@@ -65,6 +68,7 @@ def surface_peak(
     return launch.results()[0]
 
 
+@any_arrays
 def clip_outliers(
     image: Floats, *, factor: float, backend: str = "auto", device: str | None = None
 ) -> tuple[Floats, Floats]:
@@ -92,6 +96,7 @@ def clip_outliers(
     return clipped, busy
 
 
+@any_arrays
 def reduce_image(image: Floats, *, ratio: float, backend: str = "auto", device: str | None = None) -> Floats:
     """Sum an image over coarser pixels, with fractional coverage at their borders.
 
@@ -115,6 +120,7 @@ def reduce_image(image: Floats, *, ratio: float, backend: str = "auto", device: 
     return launch.results()[0]
 
 
+@any_arrays
 def mix_images(images: Floats, weight: Floats, *, backend: str = "auto", device: str | None = None) -> Floats:
     """Make weighted sums of images.
 
@@ -140,6 +146,7 @@ def mix_images(images: Floats, weight: Floats, *, backend: str = "auto", device:
     return launch.results()[0][:, :, :width]
 
 
+@any_arrays
 def correlate_templates(
     image: Floats,
     busy: Floats,
@@ -201,6 +208,7 @@ def correlate_templates(
     return response[:, :, :keep], angle[:, :, :keep]
 
 
+@any_arrays
 def local_maxima(
     response: Floats,
     angle: Ints,
@@ -243,6 +251,7 @@ def local_maxima(
     return launch.results()[0]
 
 
+@any_arrays
 def merge_maxima(
     maxima: Floats,
     *,
@@ -278,6 +287,7 @@ def merge_maxima(
     return launch.results()[0]
 
 
+@any_arrays
 def match_corners(
     peaks: Floats, tolerances: Floats, *, most: int = 8, backend: str = "auto", device: str | None = None
 ) -> Floats:

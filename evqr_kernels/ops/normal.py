@@ -5,9 +5,11 @@ from __future__ import annotations
 import numpy as np
 
 from evqr_kernels.checks import ArrayChecks, Floats, Ints
+from evqr_kernels.interop import any_arrays
 from evqr_kernels.launch import Launch
 
 
+@any_arrays
 def pose_normal_equations(
     moments: Floats, gram: Floats, terms: Ints, factors: Ints, *, ridge: float = 1e-3, backend: str = "auto",
     device: str | None = None,
@@ -53,6 +55,7 @@ def pose_normal_equations(
     return gain, matrix, rhs
 
 
+@any_arrays
 def code_normal_equations(
     image: Floats, pose: Floats, lattice: Floats, profile: Floats, slope: Floats, gain: Floats, *,
     samples_a_module: int, reach: int = 2, backend: str = "auto", device: str | None = None,
@@ -96,6 +99,7 @@ def code_normal_equations(
     return stencil, rhs
 
 
+@any_arrays
 def code_product(
     q: Floats, stencil: Floats, damping: Floats, free: Ints, *, backend: str = "auto",
     device: str | None = None,
@@ -125,6 +129,7 @@ def code_product(
     return launch.results()[0]
 
 
+@any_arrays
 def solve_code_banded(
     rhs: Floats, stencil: Floats, damping: Floats, free: Ints, start: Floats, *, backend: str = "auto",
     device: str | None = None,

@@ -3,9 +3,11 @@
 from __future__ import annotations
 
 from evqr_kernels.checks import ArrayChecks, Floats
+from evqr_kernels.interop import any_arrays
 from evqr_kernels.launch import Launch
 
 
+@any_arrays
 def render_code(
     grid: Floats, to_grid: Floats, outside: Floats, *, sigma: float = 0.0,
     shape: tuple[int, int] | None = None, out: Floats | None = None, backend: str = "auto",
@@ -44,6 +46,7 @@ def render_code(
     return launch.results()[0]
 
 
+@any_arrays
 def render_code_adjoint(
     grid: Floats, to_grid: Floats, outside: Floats, adj_image: Floats, *, sigma: float = 0.0,
     backend: str = "auto", device: str | None = None,
@@ -76,6 +79,7 @@ def render_code_adjoint(
     return adj_grid, adj_to_grid
 
 
+@any_arrays
 def brightness_residual(
     luminance: Floats, events_image: Floats, motion: Floats, *, out: Floats | None = None,
     backend: str = "auto", device: str | None = None,
@@ -103,6 +107,7 @@ def brightness_residual(
     return launch.results()[0]
 
 
+@any_arrays
 def brightness_residual_adjoint(
     luminance: Floats,
     motion: Floats,

@@ -1,0 +1,103 @@
+"""Calls of the differentiable operations on NumPy arrays, and what computes the same from the definition."""
+
+from dataclasses import dataclass, field
+
+import numpy as np
+
+from evqr_kernels import SplatConfig
+
+from . import cases, references
+
+SHAPE = cases.Y, cases.X
+
+
+@dataclass
+class Case:
+    op: str
+    arrays: dict
+    varied: tuple[str, ...]
+    options: dict = field(default_factory=dict)
+    reference_options: dict = field(default_factory=dict)
+    uses_erf: bool = False
+
+    @property
+    def reference(self):
+        return getattr(references, self.op)
+
+
+def splat_events(rng, dtype, parameters=2):
+    names = ("x", "y", "t", "weight", "window_ptr", "motion")
+    arrays = dict(zip(names, cases.splat_inputs(rng, dtype)[:6], strict=True))
+    if parameters == 6:
+        arrays["motion"] = np.hstack([arrays["motion"], cases.affine_motion(rng, dtype)])
+    cfg = SplatConfig(epsilon_px=1.1)
+    return Case("splat_events", arrays, ("weight", "motion"), {"shape": SHAPE, "cfg": cfg})
+
+
+def splat_events_affine(rng, dtype):
+    return splat_events(rng, dtype, 6)
+
+
+def deposit_events(rng, dtype):
+    case = splat_events(rng, dtype)
+    x, y = case.arrays["x"], case.arrays["y"]
+    # between cells all of them, and none on a line
+    x[:], y[:] = (4.013 + (column % 1.0) * 0.97 + np.floor(column % 14) for column in (x, y))
+    return Case("deposit_events", case.arrays, ("weight",), {"shape": SHAPE})
+
+
+def lag_operator(rng, dtype):
+    names = ("deposit", "deposit_idx", "direction", "lag", "taps")
+    return Case(
+        "lag_operator", dict(zip(names, cases.lag_operator(rng, dtype).inputs, strict=True)), ("deposit",)
+    )
+
+
+def render_code(rng, dtype, parameters=6, sigma=0.0):
+    grid, to_grid, outside, _ = cases.render_code(rng, dtype, parameters).inputs
+    to_grid[:, 6:] *= 0.1  # in front of all of the image
+    arrays = {"grid": grid, "to_grid": to_grid, "outside": outside}
+    options = {"shape": SHAPE, "sigma": sigma}
+    return Case("render_code", arrays, ("grid", "to_grid"), options, uses_erf=True)
+
+
+def render_code_smooth(rng, dtype):
+    return render_code(rng, dtype, sigma=0.23)
+
+
+def render_code_tilted_smooth(rng, dtype):
+    return render_code(rng, dtype, 8, 0.3)
+
+
+def brightness_residual(rng, dtype):
+    names = ("luminance", "events_image", "motion")
+    arrays = dict(zip(names, cases.brightness_residual(rng, dtype).inputs, strict=True))
+    return Case("brightness_residual", arrays, names)
+
+
+def sample_moments(rng, dtype):
+    image, image_idx, pose, _, points, table = cases.sample_moments(rng, dtype).inputs
+    arrays = {"image": image, "image_idx": image_idx, "pose": pose, "points": points, "table": table}
+    return Case("sample_moments", arrays, ("image",))
+
+
+CASES = [
+    splat_events,
+    splat_events_affine,
+    deposit_events,
+    lag_operator,
+    render_code,
+    render_code_smooth,
+    render_code_tilted_smooth,
+    brightness_residual,
+    sample_moments,
+]
+
+TOLERANCE = {np.float32: 2e-4, np.float64: 1e-11}
+"""Relative to the largest value: sums of thousands of terms, in another order."""
+
+
+def assert_like(got, expected, dtype):
+    got, expected = np.asarray(got), np.asarray(expected)
+    assert got.dtype == expected.dtype == dtype
+    np.testing.assert_allclose(got, expected, rtol=0, atol=TOLERANCE[dtype] * np.abs(expected).max())

@@ -1,0 +1,125 @@
+"""Differentiable operations from their definitions, dense and slow, for PyTorch and JAX alike.
+
+``xp`` is `torch` or `jax.numpy`, ``erf`` its error function; index arrays are NumPy's.
+"""
+
+import math
+from itertools import pairwise
+
+import numpy as np
+
+
+def hat(xp, s):
+    return xp.clip(1 - xp.abs(s), 0, None)
+
+
+def transported(xp, x, y, t, motion, shape):
+    """Where events are at the reference time, for 2 or 6 parameters."""
+    vx, vy = motion[0], motion[1]
+    if len(motion) == 6:
+        dx, dy = x - (shape[1] - 1) / 2, y - (shape[0] - 1) / 2
+        vx, vy = vx + motion[2] * dx + motion[3] * dy, vy + motion[4] * dx + motion[5] * dy
+    return x - t * vx, y - t * vy
+
+
+def splat_events(xp, x, y, t, weight, window_ptr, motion, *, shape, cfg):
+    def profile(r):
+        q = xp.clip(1 - (r / cfg.radius_px) ** 2, 0, None)
+        return cfg.norm * xp.exp(-0.5 * (r / cfg.epsilon_px) ** 2) * q * q
+
+    images = []
+    rows, columns = (xp.arange(size, dtype=x.dtype)[None] for size in shape)
+    for b, (begin, end) in enumerate(pairwise(window_ptr)):
+        part = slice(int(begin), int(end))
+        cx, cy = transported(xp, x[part], y[part], t[part], motion[b], shape)
+        images.append(
+            xp.einsum(
+                "e,ey,ex->yx", weight[part], profile(rows - cy[:, None]), profile(columns - cx[:, None])
+            )
+        )
+    return xp.stack(images)
+
+
+def deposit_events(xp, x, y, t, weight, window_ptr, motion, *, shape):
+    images = []
+    rows, columns = (xp.arange(size, dtype=x.dtype)[None] for size in shape)
+    for b, (begin, end) in enumerate(pairwise(window_ptr)):
+        part = slice(int(begin), int(end))
+        cx, cy = transported(xp, x[part], y[part], t[part], motion[b], shape)
+        along, across = hat(xp, columns - cx[:, None]), hat(xp, rows - cy[:, None])
+        for signed in (weight[part] * (weight[part] > 0), weight[part] * (weight[part] < 0)):
+            images.append(xp.einsum("e,ey,ex->yx", signed, across, along))
+    return xp.stack(images).reshape(-1, 2, *shape)
+
+
+def lag_operator(xp, deposit, deposit_idx, direction, lag, taps):
+    reach = taps.shape[1] // 2
+
+    def filter_of(weights, size):
+        shifts = xp.asarray(np.stack([np.eye(size, k=reach - k, dtype=dtype) for k in range(2 * reach + 1)]))
+        return xp.einsum("k,kij->ij", weights, shifts)
+
+    dtype = np.asarray(taps).dtype
+    (down, down_slope), (right, right_slope) = (
+        [filter_of(weights, size) for weights in taps] for size in deposit.shape[2:]
+    )
+    images = []
+    for n, b in enumerate(deposit_idx):
+        total = 0
+        for p in range(2):
+            image = deposit[int(b), p]
+            slope_x, slope_y = down.T @ image @ right_slope, down_slope.T @ image @ right
+            slope = direction[n, 0] * slope_x + direction[n, 1] * slope_y
+            total = total + down.T @ image @ right - lag[n, p] * slope
+        row, column = (xp.arange(size) for size in total.shape)
+        inner = [(k >= reach) & (k < len(k) - reach) for k in (row, column)]
+        images.append(total * inner[0][:, None] * inner[1][None])
+    return xp.stack(images)
+
+
+def render_code(xp, grid, to_grid, outside, *, shape, sigma, erf):
+    def profile(s):
+        if sigma == 0:
+            return hat(xp, s)
+        scale = 0.5 / math.erf(6 * math.sqrt(0.5))
+
+        def edge(z):
+            return 0.5 + scale * erf(xp.clip(z, -6, 6) * math.sqrt(0.5))
+
+        return edge((s + 0.5) / sigma) - edge((s - 0.5) / sigma)
+
+    y, x = (xp.arange(size, dtype=grid.dtype) for size in shape)
+    y, x = y[:, None], x[None]
+    images = []
+    for q, w, beyond in zip(grid, to_grid, outside, strict=True):
+        depth = w[6] * x + w[7] * y + 1 if len(w) == 8 else 1 + 0 * x * y
+        u, v = (w[0] * x + w[1] * y + w[2]) / depth, (w[3] * x + w[4] * y + w[5]) / depth
+        nodes_v, nodes_u = (xp.arange(size, dtype=grid.dtype) for size in q.shape)
+        shares = profile(v[..., None] - nodes_v), profile(u[..., None] - nodes_u)
+        images.append(beyond + xp.einsum("ji,yxj,yxi->yx", q - beyond, *shares))
+    return xp.stack(images)
+
+
+def brightness_residual(xp, luminance, events_image, motion):
+    def slope(image, axis):
+        moved = xp.swapaxes(image, axis, 2)
+        padded = xp.concatenate([moved[:, :, :1], moved, moved[:, :, -1:]], 2)
+        return xp.swapaxes(0.5 * (padded[:, :, 2:] - padded[:, :, :-2]), axis, 2)
+
+    m = motion[:, :, None, None]
+    return m[:, 0] * slope(luminance, 2) + m[:, 1] * slope(luminance, 1) + events_image
+
+
+def sample_moments(xp, image, image_idx, pose, points, table):
+    height, width = image.shape[1:]
+    rows, columns = (xp.arange(size, dtype=image.dtype)[None] for size in (height, width))
+    moments = []
+    for b, p in zip(image_idx, pose, strict=True):
+        u, v = points[:, 0], points[:, 1]
+        depth = p[6] * u + p[7] * v + p[8]
+        x, y = (p[0] * u + p[1] * v + p[2]) / depth, (p[3] * u + p[4] * v + p[5]) / depth
+        inside = (x >= 0) & (y >= 0) & (x < width - 1) & (y < height - 1)
+        shares = hat(xp, rows - y[:, None]), hat(xp, columns - x[:, None])
+        e = inside * xp.einsum("yx,sy,sx->s", image[int(b)], *shares)
+        moments.append(xp.concatenate([e @ table, (e @ e)[None]]))
+    return xp.stack(moments)

@@ -1,0 +1,104 @@
+"""Arrays of other libraries: read in place, or refused."""
+
+import numpy as np
+import pytest
+
+import evqr_kernels
+from evqr_kernels import get_backend
+from evqr_kernels.interop import host_view, warp_view
+
+
+class Foreign:
+    """An array of another library, which speaks one protocol only."""
+
+    def __init__(self, array, *protocols):
+        self.array = array
+        for protocol in protocols:
+            setattr(self, protocol, getattr(array, protocol))
+
+
+def foreign(array, protocol):
+    names = {"dlpack": ("__dlpack__", "__dlpack_device__"), "interface": ("__array_interface__",)}
+    return Foreign(array, *names[protocol])
+
+
+every_protocol = pytest.mark.parametrize("protocol", ["dlpack", "interface"])
+
+
+@every_protocol
+def test_a_foreign_array_is_read_in_place(protocol):
+    array = np.arange(6, dtype=np.float32).reshape(2, 3)
+    view = host_view("x", foreign(array, protocol))
+    assert isinstance(view, np.ndarray)
+    assert np.shares_memory(view, array)
+    array[1, 2] = 17
+    assert view[1, 2] == 17
+
+
+@every_protocol
+def test_warp_sees_the_same_memory(protocol):
+    array = np.arange(6, dtype=np.float64).reshape(2, 3)
+    view = warp_view(foreign(array, protocol))
+    assert np.shares_memory(view.numpy(), array)
+    assert np.shares_memory(warp_view(array).numpy(), array)
+
+
+@every_protocol
+def test_checked_functions_take_foreign_arrays(protocol, rng):
+    arrays = [rng.uniform(0, 8, 20).astype(np.float32) for _ in range(3)]
+    arrays.append(np.array([0, 20], np.int32))
+    expected = evqr_kernels.bin_events(*arrays, shape=(9, 9))
+    out = np.zeros_like(expected)
+    given = [foreign(array, protocol) for array in arrays]
+    evqr_kernels.bin_events(*given, out=foreign(out, "interface"))
+    np.testing.assert_array_equal(out, expected)
+
+
+def test_a_backend_computes_on_foreign_memory(rng):
+    first, second = rng.normal(size=(2, 1, 5, 6)).astype(np.float32)
+    out = np.zeros_like(first)
+    motion = np.array([[1, 2]], np.float32)
+    views = [warp_view(foreign(array, "dlpack")) for array in (first, second, motion, out)]
+    get_backend("warp").brightness_residual(*views)
+    expected = evqr_kernels.brightness_residual(first, second, motion)
+    np.testing.assert_array_equal(out, expected)
+
+
+@every_protocol
+def test_no_copy_is_made_of_what_is_not_contiguous(protocol):
+    every_other = np.zeros((4, 6), np.float32)[:, ::2]
+    with pytest.raises(ValueError, match="image must be contiguous"):
+        evqr_kernels.reduce_image(foreign(every_other[None], protocol), ratio=2.0)
+    with pytest.raises(ValueError, match="array must be contiguous"):
+        warp_view(foreign(every_other, protocol))
+    with pytest.raises(ValueError, match="array must be contiguous"):
+        warp_view(every_other)
+
+
+def test_what_lies_on_a_gpu_is_refused_by_name():
+    on_gpu = Foreign(np.zeros(3, np.float32))
+    on_gpu.__cuda_array_interface__ = {}
+    with pytest.raises(TypeError, match="weight is not in the host's memory"):
+        evqr_kernels.bin_events(
+            *[np.zeros(3, np.float32)] * 2, on_gpu, np.array([0, 3], np.int32), shape=(1, 1)
+        )
+
+
+def test_what_does_not_give_its_memory_away_is_refused_by_name():
+    class Closed:
+        def __dlpack_device__(self):
+            return (1, 0)
+
+        def __dlpack__(self, **_):
+            raise BufferError("it takes part in something")
+
+    with pytest.raises(TypeError, match="image cannot be read without a copy: it takes part in something"):
+        evqr_kernels.reduce_image(Closed(), ratio=2.0)
+
+
+@pytest.mark.parametrize("no_array", [[1.0], "text", None, object()])
+def test_what_is_no_array_is_refused(no_array):
+    with pytest.raises(TypeError, match="image must be a NumPy array, got"):
+        evqr_kernels.reduce_image(no_array, ratio=2.0)
+    with pytest.raises(TypeError, match="array must speak __dlpack__ or"):
+        warp_view(no_array)

@@ -1,0 +1,109 @@
+"""Differentiable JAX functions: in place, and with the gradients that JAX finds for the definitions."""
+
+import numpy as np
+import pytest
+
+jax = pytest.importorskip("jax", reason="JAX is not installed")
+jax.config.update("jax_enable_x64", True)
+
+import jax.numpy as jnp  # noqa: E402
+
+import evqr_kernels.jax  # noqa: E402
+
+from .framework_cases import CASES, assert_like, brightness_residual, splat_events  # noqa: E402
+
+INDICES = ("window_ptr", "deposit_idx", "image_idx")
+
+
+def arrays_of(case):
+    return {name: jnp.asarray(array) for name, array in case.arrays.items()}
+
+
+@pytest.mark.parametrize("make", CASES, ids=lambda make: make.__name__)
+def test_output_and_gradients_are_those_of_the_definition(make, dtype, rng):
+    """In one compiled function, and step by step."""
+    case = make(rng, dtype)
+    given = arrays_of(case)
+    plain = {name: case.arrays[name] if name in INDICES else array for name, array in given.items()}
+    options = {**case.options, **({"erf": jax.scipy.special.erf} if case.uses_erf else {})}
+
+    def ours(varied):
+        return getattr(evqr_kernels.jax, case.op)(**{**given, **varied}, **case.options)
+
+    def definition(varied):
+        return case.reference(jnp, **{**plain, **varied}, **options)
+
+    @jax.jit
+    def expected_of(varied, adj):
+        out, pull = jax.vjp(definition, varied)
+        return out, pull(adj)[0]
+
+    varied = {name: given[name] for name in case.varied}
+    adj = jnp.asarray(rng.normal(size=ours(varied).shape).astype(dtype))
+    expected, expected_adjoints = expected_of(varied, adj)
+    for function in (ours, jax.jit(ours)):
+        out, pull = jax.vjp(function, varied)
+        assert_like(out, expected, dtype)
+        for name, adjoint in pull(adj)[0].items():
+            assert_like(adjoint, expected_adjoints[name], dtype)
+
+
+def test_no_copy_is_made(monkeypatch, rng):
+    """The kernels get the memory of the arrays."""
+    case = brightness_residual(rng, np.float32)
+    given = arrays_of(case)
+    evqr_kernels.jax.brightness_residual(**given)  # compiled
+    backend = type(evqr_kernels.get_backend("warp"))
+    run, seen = backend.brightness_residual, []
+    monkeypatch.setattr(
+        backend, "brightness_residual", staticmethod(lambda *a: (seen.extend(x.ptr for x in a), run(*a)))
+    )
+    out = evqr_kernels.jax.brightness_residual(**given)
+    assert seen == [array.unsafe_buffer_pointer() for array in (*given.values(), out)]
+
+
+def test_inputs_without_an_adjoint_get_zero(rng):
+    case = splat_events(rng, np.float32)
+    given = arrays_of(case)
+
+    def loss(x):
+        return evqr_kernels.jax.splat_events(**{**given, "x": x}, **case.options).var()
+
+    np.testing.assert_array_equal(jax.grad(loss)(given["x"]), 0)
+
+
+def test_one_after_the_other_under_vmap(rng):
+    case = brightness_residual(rng, np.float32)
+    luminance, events, motion = arrays_of(case).values()
+    motions = jnp.stack([motion, -motion, 2 * motion])
+    together = jax.vmap(lambda m: evqr_kernels.jax.brightness_residual(luminance, events, m))(motions)
+    for one, m in zip(together, motions, strict=True):
+        np.testing.assert_array_equal(one, evqr_kernels.jax.brightness_residual(luminance, events, m))
+
+
+@pytest.mark.parametrize(
+    ("change", "error", "message"),
+    [
+        (
+            {"motion": np.zeros((3, 5), np.float32)},
+            ValueError,
+            r"motion must have shape .* or \(B, 6\)",
+        ),
+        ({"motion": np.zeros((2, 2), np.float32)}, ValueError, "motion must have shape .* with B = 3"),
+        ({"weight": np.zeros(300)}, TypeError, "weight must be float32 like the arrays before it"),
+        ({"window_ptr": np.zeros(4, np.float32)}, TypeError, "window_ptr must be int32, got float32"),
+    ],
+)
+def test_bad_arguments(change, error, message, rng):
+    case = splat_events(rng, np.float32)
+    given = {**arrays_of(case), **{name: jnp.asarray(array) for name, array in change.items()}}
+    with pytest.raises(error, match=message):
+        evqr_kernels.jax.splat_events(**given, **case.options)
+    with pytest.raises(TypeError, match=r"x must be a jax.Array, got ndarray"):
+        evqr_kernels.jax.splat_events(**{**given, "x": case.arrays["x"]}, **case.options)
+
+
+def test_checked_functions_take_jax_arrays(rng):
+    case = splat_events(rng, np.float32)
+    image = evqr_kernels.splat_events(**arrays_of(case), **case.options)
+    np.testing.assert_array_equal(image, evqr_kernels.splat_events(**case.arrays, **case.options))

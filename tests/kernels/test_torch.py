@@ -1,0 +1,118 @@
+"""Differentiable PyTorch functions: in place, with the gradients that autograd finds for the definitions."""
+
+import numpy as np
+import pytest
+
+torch = pytest.importorskip("torch", reason="PyTorch is not installed")
+
+import evqr_kernels.torch  # noqa: E402
+
+from .framework_cases import CASES, assert_like, render_code, splat_events  # noqa: E402
+
+INDICES = ("window_ptr", "deposit_idx", "image_idx")
+
+
+@pytest.fixture(params=["cpu", *(f"cuda:{k}" for k in range(torch.cuda.device_count()))])
+def device(request):
+    wanted = request.config.getoption("device")
+    if wanted and request.param not in wanted:
+        pytest.skip("--device names others")
+    return request.param
+
+
+def tensors(case, device):
+    made = {name: torch.from_numpy(array.copy()).to(device) for name, array in case.arrays.items()}
+    for name in case.varied:
+        made[name].requires_grad_()
+    return made
+
+
+@pytest.mark.parametrize("make", CASES, ids=lambda make: make.__name__)
+def test_output_and_gradients_are_those_of_the_definition(make, device, dtype, rng):
+    case = make(rng, dtype)
+    given, plain = tensors(case, device), tensors(case, device)
+    out = getattr(evqr_kernels.torch, case.op)(**given, **case.options)
+    definition = {n: case.arrays[n] if n in INDICES else tensor for n, tensor in plain.items()}
+    options = {**case.options, **({"erf": torch.erf} if case.uses_erf else {})}
+    expected = case.reference(torch, **definition, **options)
+    assert_like(out.detach().cpu(), expected.detach().cpu(), dtype)
+
+    adj = torch.from_numpy(rng.normal(size=out.shape).astype(dtype)).to(device)
+    out.backward(adj)
+    expected.backward(adj)
+    for name in case.varied:
+        assert_like(given[name].grad.cpu(), plain[name].grad.cpu(), dtype)
+
+
+def test_backward_through_a_sum(device, rng):
+    """Its gradient is one number seen many times over, not contiguous."""
+    case = splat_events(rng, np.float64)
+    given = tensors(case, device)
+    evqr_kernels.torch.splat_events(**given, **case.options).sum().backward()
+    again = tensors(case, device)
+    out = evqr_kernels.torch.splat_events(**again, **case.options)
+    out.backward(torch.ones_like(out))
+    torch.testing.assert_close(given["weight"].grad, again["weight"].grad, rtol=0, atol=0)
+
+
+def test_gradcheck(device, rng):
+    case = render_code(rng, np.float64, parameters=8, sigma=0.3)
+    given = tensors(case, device)
+
+    def render(grid, to_grid):
+        return evqr_kernels.torch.render_code(grid, to_grid, given["outside"], shape=(6, 7), sigma=0.3)
+
+    assert torch.autograd.gradcheck(render, (given["grid"], given["to_grid"]))
+
+
+def test_no_copy_is_made(monkeypatch, rng):
+    """The kernels get the memory of the tensors."""
+    case = splat_events(rng, np.float32)
+    given = tensors(case, "cpu")
+    seen = []
+    view = evqr_kernels.torch._view
+    monkeypatch.setattr(evqr_kernels.torch, "_view", lambda tensor: seen.append(view(tensor)) or seen[-1])
+    out = evqr_kernels.torch.splat_events(**given, **case.options)
+    addresses = {array.ptr for array in seen}
+    assert {given[name].data_ptr() for name in ("x", "weight", "motion")} <= addresses
+    assert out.data_ptr() in addresses
+
+
+@pytest.mark.parametrize(
+    ("change", "error", "message"),
+    [
+        ({"motion": lambda m: m[:, :1]}, ValueError, "motion must be contiguous, it is not copied"),
+        ({"motion": lambda m: m.new_zeros(3, 5)}, ValueError, r"motion must have shape \(B, 2\) or \(B, 6\)"),
+        ({"motion": lambda m: m.new_zeros(2, 2)}, ValueError, "motion must have shape .* with B = 3"),
+        ({"weight": lambda w: w.double()}, TypeError, "weight must be float32 like the arrays before it"),
+        (
+            {"weight": lambda w: w.half()},
+            TypeError,
+            "weight must be .* or int32, got torch.float16",
+        ),
+        ({"window_ptr": lambda p: p.float()}, TypeError, "window_ptr must be int32, got float32"),
+        (
+            {"x": lambda x: x.requires_grad_()},
+            ValueError,
+            "x must not require a gradient: splat_events",
+        ),
+        ({"x": lambda x: x.numpy()}, TypeError, "x must be a torch.Tensor, got ndarray"),
+    ],
+)
+def test_bad_arguments(change, error, message, rng):
+    case = splat_events(rng, np.float32)
+    given = {name: torch.from_numpy(array) for name, array in case.arrays.items()}
+    for name, make in change.items():
+        given[name] = make(given[name])
+    with pytest.raises(error, match=message):
+        evqr_kernels.torch.splat_events(**given, **case.options)
+
+
+def test_checked_functions_take_tensors(rng):
+    case = splat_events(rng, np.float32)
+    given = {name: torch.from_numpy(array) for name, array in case.arrays.items()}
+    image = evqr_kernels.splat_events(**given, **case.options)
+    np.testing.assert_array_equal(image, evqr_kernels.splat_events(**case.arrays, **case.options))
+    given["weight"].requires_grad_()
+    with pytest.raises(TypeError, match="weight cannot be read without a copy"):
+        evqr_kernels.splat_events(**given, **case.options)
