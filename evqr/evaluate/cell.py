@@ -93,7 +93,7 @@ class CellResult:
         """What is true of the code."""
         return self.entry.truth()
 
-    @property
+    @functools.cached_property
     def score(self) -> Score:
         """All metrics."""
         return score(self.trials, self.truth)

@@ -4,6 +4,7 @@ import csv
 import io
 import json
 import re
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -29,7 +30,7 @@ def made_up(tiny, method, *, wrong=0, **changes):
         modules=modules, converged=True, best_accuracy=0.75, confidence=0.9999, events_per_edge=5.0,
         seconds=0.5, **read,
     )  # fmt: skip
-    entry = type(entry)(**{**vars(entry), **changes})
+    entry = replace(entry, **changes)
     return CellResult(
         cell=Cell(recording=entry.name, method=method),
         entry=entry,
