@@ -54,7 +54,6 @@ def make(folder: Path, jobs: int, windows: int | None) -> int:
     return OK
 
 
-SWEEP_METHODS = ("without_qr", "descent", "evqr", "evqr_no_lag", "integrate")
 STRETCHES = (0.5, 2.0)
 SHARES = (0.5, 0.25, 0.12)
 SWEEP_TRIALS = 5
@@ -129,6 +128,7 @@ def table1(
 
     from evqr.evaluate.cell import Cell, run_cells
     from evqr.evaluate.report import About, write_report
+    from evqr.evaluate.table import SINGLE
     from evqr.picture import figure_class
 
     figure_class()  # before the work is done
@@ -144,7 +144,7 @@ def table1(
         more: list[Cell] = []
         if sweep or (sweep is None and not quick):
             for entry in entries:
-                for method in (m for m in chosen if m in SWEEP_METHODS):
+                for method in (m for m in chosen if m in SINGLE):
                     count = min(number[method] or SWEEP_TRIALS, SWEEP_TRIALS)
                     base = Cell(recording=entry.name, method=method, trials=count, quick=quick)
                     more += [replace(base, stretch=stretch) for stretch in STRETCHES]

@@ -12,6 +12,7 @@ and ``end_us``, event times between which the whole code is in view; ``sensor`` 
 
 from __future__ import annotations
 
+import functools
 import json
 import os
 from dataclasses import asdict, dataclass, fields
@@ -69,8 +70,8 @@ class Entry:
     sensor: tuple[int, int] | None = None
     time_unit: TimeUnit | None = None
 
-    def truth(self) -> Truth:
-        """Return what is true of the code."""
+    @functools.cached_property
+    def _truth(self) -> Truth:
         import segno
 
         space = code_space(self.version)
@@ -87,6 +88,10 @@ class Entry:
             )
             dark = np.array(code.matrix, bool)
         return Truth(text=self.text, modules=np.where(dark, -1, 1).astype(np.int8), known=space.known)
+
+    def truth(self) -> Truth:
+        """Return what is true of the code."""
+        return self._truth
 
 
 @dataclass(frozen=True, eq=False)

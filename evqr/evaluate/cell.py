@@ -3,13 +3,16 @@
 from __future__ import annotations
 
 import base64
+import functools
 import json
 import os
 import platform
+import subprocess
 import zlib
 from collections.abc import Callable, Iterable, Mapping
 from concurrent.futures import Executor, Future, as_completed
 from dataclasses import asdict, dataclass, fields
+from importlib.metadata import version
 from pathlib import Path
 from typing import Any
 
@@ -74,6 +77,7 @@ class CellResult:
     picture    (Y, X) uint8, what the method saw or made of the middle trial, around the code; None without
     speed_px_ms   true speed of the code [px/ms], 0 where it is not known
     machine    where it was computed
+    source     what computed it
     """
 
     cell: Cell
@@ -82,13 +86,14 @@ class CellResult:
     picture: NDArray[np.uint8] | None
     speed_px_ms: float
     machine: str
+    source: str
 
     @property
     def truth(self) -> Truth:
         """What is true of the code."""
         return self.entry.truth()
 
-    @property
+    @functools.cached_property
     def score(self) -> Score:
         """All metrics."""
         return score(self.trials, self.truth)
@@ -113,6 +118,7 @@ def run_cell(folder: Path, entry: Entry, cell: Cell) -> dict[str, Any]:
     return {
         **_key(folder, entry, cell),
         "machine": machine(),
+        "source": source(),
         "speed_px_ms": 1e3 * float(np.hypot(*sequence.velocity)),
         "trials": [_record(trial) for trial in trials],
         "picture": None if picture is None else {"shape": picture.shape, "zlib": _packed(picture)},
@@ -130,6 +136,18 @@ def machine() -> str:
     except (OSError, StopIteration):
         pass
     return f"{name}, {os.cpu_count()} CPUs, {platform.system()}"
+
+
+@functools.cache
+def source() -> str:
+    """Say which version of evqr this is, and of which commit where it runs from a clone."""
+    here = Path(__file__).parent
+    git = ["git", "describe", "--always", "--dirty", "--abbrev=10"]
+    try:
+        done = subprocess.run(git, cwd=here, capture_output=True, text=True, check=True)
+    except (OSError, subprocess.CalledProcessError):
+        return f"evqr {version('evqr')}"
+    return f"evqr {version('evqr')}, commit {done.stdout.strip()}"
 
 
 def _inputs(method: Method, sequence: Sequence, cell: Cell) -> list[int]:
@@ -239,6 +257,7 @@ def _result(cell: Cell, entry: Entry, record: Mapping[str, Any]) -> CellResult:
         picture=None if told is None else _unpacked(told["zlib"]).view(np.uint8).reshape(told["shape"]),
         speed_px_ms=record["speed_px_ms"],
         machine=record["machine"],
+        source=record.get("source", "not recorded"),
     )
 
 

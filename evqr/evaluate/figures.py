@@ -10,6 +10,7 @@ import numpy as np
 from evqr.baselines.registry import METHODS
 from evqr.evaluate.cell import CellResult
 from evqr.evaluate.metrics import Trial, binned, calibration, mode_of
+from evqr.evaluate.table import EDGE_BOUNDS, SINGLE
 from evqr.picture import FALSE_DARK, FALSE_LIGHT, GREY, INK, figure_class
 
 if TYPE_CHECKING:
@@ -17,9 +18,6 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
 COLOURS = ("#868e96", "#e8590c", "#2f9e44", "#1971c2", "#c2255c", "#f783ac", "#9c36b5", "#f08c00", "#0b7285")
-EDGE_BOUNDS = (0, 1, 2, 3, 4, 6, 8, 12, 16, 24, 32)
-"""Events per module edge: bounds of the intervals."""
-
 CONFIDENCE_BOUNDS = (0.0, 0.9, 0.99, 0.999, 1.0 - 1e-4, 1.0 - 1e-6, 1.0 - 1e-9, 1.0)
 
 NEVER = 3.0
@@ -188,9 +186,7 @@ def _with_events(results: Sequence[CellResult], method: str) -> list[tuple[float
 
 def _against_events(results: Sequence[CellResult]) -> Figure | None:
     """Draw bits and read rate against events per module edge, for methods that take one window."""
-    single = [
-        m for m in _methods(results) if m in ("without_qr", "descent", "evqr", "evqr_no_lag", "integrate")
-    ]
+    single = [method for method in _methods(results) if method in SINGLE]
     if not any(_with_events(results, method) for method in single):
         return None
     figure = _figure(10.0, 4.2)

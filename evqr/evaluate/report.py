@@ -6,18 +6,16 @@ import base64
 import html
 import io
 import json
-import subprocess
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from datetime import datetime, timezone
-from importlib.metadata import version
 from pathlib import Path
 from typing import TYPE_CHECKING
 
 from evqr.dataset.manifest import write_atomically
-from evqr.evaluate.cell import CellResult
+from evqr.evaluate.cell import CellResult, source
 from evqr.evaluate.figures import figures_of
-from evqr.evaluate.table import Line, csv_of, markdown_of, rows_of, table_of
+from evqr.evaluate.table import Line, csv_of, events_of, markdown_of, rows_of, table_of
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -81,8 +79,9 @@ def write_report(
     lines = table_of(table)
     facts = _facts(table, about)
     told = "".join(f"- {name}: {value}\n" for name, value in facts.items())
+    events = events_of([*table, *sweep])
     written = {
-        "table1.md": f"# Table 1\n\n{told}\n{markdown_of(lines)}\n{NOTES.strip()}\n",
+        "table1.md": f"# Table 1\n\n{told}\n{markdown_of(lines)}\n{NOTES.strip()}\n\n{events}",
         "table1.csv": csv_of(lines),
         "table1.json": json.dumps({"about": facts, "lines": [line.record() for line in lines]}, indent=1)
         + "\n",
@@ -98,29 +97,14 @@ def write_report(
 
 
 def _facts(table: Sequence[CellResult], about: About) -> dict[str, str]:
-    machines = sorted({result.machine for result in table})
     return {
         "made": datetime.now(timezone.utc).strftime("%Y-%m-%d %H:%M UTC"),
-        "evqr": f"{version('evqr')}, commit {_commit()}",
+        "cells computed by": "; ".join(sorted({result.source for result in table})),
+        "page drawn by": source(),
         "command": about.command,
         "scenes": about.dataset,
-        "machine": "; ".join(machines),
+        "machine": "; ".join(sorted({result.machine for result in table})),
     }
-
-
-def _commit() -> str:
-    """Give the commit of the source that runs, where it runs from a checkout."""
-    try:
-        done = subprocess.run(
-            ["git", "describe", "--always", "--dirty", "--abbrev=10"],
-            cwd=Path(__file__).parent,
-            capture_output=True,
-            text=True,
-            check=True,
-        )
-    except (OSError, subprocess.CalledProcessError):
-        return "unknown"
-    return done.stdout.strip()
 
 
 def _png(figure: Figure) -> bytes:

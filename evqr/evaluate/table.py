@@ -4,13 +4,14 @@ from __future__ import annotations
 
 import csv
 import io
+import itertools
 from collections.abc import Sequence
 from dataclasses import asdict, dataclass
 from typing import Any
 
 from evqr.baselines.registry import METHODS
 from evqr.evaluate.cell import CellResult
-from evqr.evaluate.metrics import Score
+from evqr.evaluate.metrics import Score, binned
 from evqr.evaluate.paper import Printed, printed
 
 TIMES = ("seconds_to_read", "seconds")
@@ -106,6 +107,40 @@ def markdown_of(lines: Sequence[Line]) -> str:
         before = row[:2]
         shown.append([*fresh, *row[2:]])
     return "".join(f"| {' | '.join(row)} |\n" for row in shown)
+
+
+EDGE_BOUNDS = (0, 1, 2, 3, 4, 6, 8, 12, 16, 24, 32, 48)
+"""Events per module edge: bounds of the intervals."""
+
+SINGLE = ("without_qr", "descent", "evqr", "evqr_no_lag", "integrate")
+"""Methods that take one window, so that its events are all they have."""
+
+
+def events_of(results: Sequence[CellResult]) -> str:
+    """Tabulate read rate against events per module edge, in Markdown; "" where no cell knows its events."""
+    rows = [["events per edge", *(f"{a} to {b}" for a, b in itertools.pairwise(EDGE_BOUNDS))]]
+    for method in SINGLE:
+        trials = [
+            (trial.events_per_edge, float(trial.text == result.truth.text))
+            for result in results
+            if result.cell.method == method
+            for trial in result.trials
+            if trial.events_per_edge is not None
+        ]
+        if trials:
+            bins = {
+                b.low: b for b in binned([e for e, _ in trials], [read for _, read in trials], EDGE_BOUNDS)
+            }
+            cells = [
+                f"{100 * bins[a].value:.0f} % of {bins[a].count}" if a in bins else "-"
+                for a in EDGE_BOUNDS[:-1]
+            ]
+            rows.append([METHODS[method].title, *cells])
+    if len(rows) == 1:
+        return ""
+    rows.insert(1, ["---"] * len(rows[0]))
+    told = "Read, of all windows, by a window's events on the code over the edges between its modules:"
+    return f"{told}\n\n" + "".join(f"| {' | '.join(row)} |\n" for row in rows)
 
 
 def csv_of(lines: Sequence[Line]) -> str:

@@ -4,6 +4,7 @@ import csv
 import io
 import json
 import re
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -29,7 +30,7 @@ def made_up(tiny, method, *, wrong=0, **changes):
         modules=modules, converged=True, best_accuracy=0.75, confidence=0.9999, events_per_edge=5.0,
         seconds=0.5, **read,
     )  # fmt: skip
-    entry = type(entry)(**{**vars(entry), **changes})
+    entry = replace(entry, **changes)
     return CellResult(
         cell=Cell(recording=entry.name, method=method),
         entry=entry,
@@ -37,6 +38,7 @@ def made_up(tiny, method, *, wrong=0, **changes):
         picture=np.zeros((160, 160), np.uint8),
         speed_px_ms=5.0,
         machine="an abacus",
+        source="a monk",
     )
 
 
@@ -102,10 +104,19 @@ def test_the_report_holds_its_pictures(results, tmp_path):
     assert all(path.stat().st_size for path in written)
     page = (tmp_path / "report.html").read_text()
     assert len(re.findall(r'src="data:image/png;base64,', page)) == 7 and "http" not in page
-    assert "made up &lt;here&gt;" in page and "an abacus" in page and '<span class="paper">(92.7)' in page
+    assert (
+        "made up &lt;here&gt;" in page
+        and "an abacus" in page
+        and "a monk" in page
+        and '<span class="paper">(92.7)' in page
+    )
     told = json.loads((tmp_path / "table1.json").read_text())
     assert told["about"]["command"] == "evqr table1" and len(told["lines"]) == 3
-    assert "| faster |" in (tmp_path / "table1.md").read_text()
+    markdown = (tmp_path / "table1.md").read_text()
+    assert "| faster |" in markdown
+    # two windows each, with 5 events an edge
+    assert re.search(r"evqr, each window alone \| - \| - \| - \| - \| 100 % of 2 \|", markdown)
+    assert re.search(r"Ours \(the paper's\) \| - \| - \| - \| - \| 50 % of 4 \|", markdown)
 
 
 def run(*arguments):
