@@ -1,6 +1,23 @@
 """Calling operations on NumPy arrays; comparing with the specification, by dot product, by differences."""
 
+import importlib.util
+
 import numpy as np
+import pytest
+
+COMPARED = ("warp", "taichi")
+"""Backends other than the specification."""
+
+
+def needs(name):
+    """Marks that skip a test of a backend that cannot be here."""
+    if name == "taichi" and not any(map(importlib.util.find_spec, ("taichi", "quadrants"))):
+        return [pytest.mark.skip(reason="neither taichi nor quadrants is installed")]
+    return []
+
+
+BACKENDS = tuple(pytest.param(name, marks=needs(name)) for name in ("numpy", *COMPARED))
+"""All of them, as parameters of a test."""
 
 TOLERANCE = {np.dtype(np.float32): 2e-5, np.dtype(np.float64): 1e-12}
 """Largest error relative to the largest value: some hundred roundings, in another order."""
@@ -16,6 +33,8 @@ class Runner:
 
     def __init__(self, backend, device):
         self.backend, self.device = backend, device
+        self.adds_in_order = (backend.name, device) == ("warp", "cpu")
+        """Whether sums by atomics repeat bit for bit."""
 
     def __call__(self, op, inputs, outputs, *tail, **options):
         """Call with copies of the arrays; give copies of the outputs as the operation left them."""

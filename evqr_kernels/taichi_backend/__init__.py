@@ -1,0 +1,116 @@
+"""The Taichi backend: buffers, devices and dispatch; the mathematics is in the files beside this one.
+
+One file a concept, mirroring ``warp_backend``.  On the CPU an array is a NumPy array: Taichi's kernels take
+its memory as it is.  A launch there runs on all cores and holds the GIL, so that Python threads take turns.
+"""
+
+import math
+from typing import Any
+
+import numpy as np
+from numpy.typing import DTypeLike, NDArray
+
+from evqr_kernels.backend import OPS
+from evqr_kernels.config import DEFAULT_KERNELS, KernelSet
+from evqr_kernels.taichi_backend import lag, lag_adjoint, runtime, splat, splat_adjoint
+from evqr_kernels.taichi_backend.language import LOCK, compile_kernel, ti
+
+_DTYPES = {np.dtype(np.float32): ti.f32, np.dtype(np.float64): ti.f64, np.dtype(np.int32): ti.i32}
+
+
+class TaichiBackend:
+    """Kernels written in Taichi, for CPUs, NVIDIA GPUs and whatever runs Vulkan or Metal."""
+
+    name = "taichi"
+
+    bin_events = staticmethod(splat.bin_events)
+    splat_events = staticmethod(splat.splat_events)
+    splat_events_adjoint = staticmethod(splat_adjoint.splat_events_adjoint)
+    deposit_events = staticmethod(lag.deposit_events)
+    deposit_events_adjoint = staticmethod(lag_adjoint.deposit_events_adjoint)
+    lag_operator = staticmethod(lag.lag_operator)
+    lag_operator_adjoint = staticmethod(lag_adjoint.lag_operator_adjoint)
+
+    def __init__(self) -> None:
+        self._loaded: set[KernelSet] = set()
+
+    def devices(self) -> tuple[str, ...]:
+        """Names of the devices that can be asked for: once Taichi runs, the one where it runs."""
+        running = runtime.running_on()
+        return runtime.devices() if running is None else (running,)
+
+    def empty(self, shape: tuple[int, ...], dtype: DTypeLike, device: str) -> Any:
+        """Make an array with undefined contents."""
+        runtime.require(device)
+        if math.prod(shape) > np.iinfo(np.int32).max:
+            raise ValueError(f"an array of Taichi's must have fewer than 2^31 elements, got shape {shape}")
+        if device == "cpu" or 0 in shape:  # Taichi has no empty arrays of its own
+            return np.empty(shape, dtype)
+        with LOCK:
+            return ti.ndarray(_DTYPES[np.dtype(dtype)], shape)
+
+    def from_host(self, array: NDArray[Any], device: str) -> Any:
+        """Bring a NumPy array to the device; on the CPU it is the same memory."""
+        array = np.ascontiguousarray(array)
+        if device == "cpu" or array.size == 0:
+            runtime.require(device)
+            return array
+        there = self.empty(array.shape, array.dtype, device)
+        with LOCK:
+            there.from_numpy(array)
+        return there
+
+    def to_host(self, array: Any) -> NDArray[Any]:
+        """Bring an array back; on the CPU it is the same memory.  Waits for the device."""
+        if isinstance(array, np.ndarray):
+            return array
+        with LOCK:
+            return array.to_numpy()
+
+    def clear(self, array: Any) -> None:
+        """Fill an array with zeros."""
+        with LOCK:
+            array.fill(0)
+
+    def synchronize(self, device: str) -> None:
+        """Wait for everything launched on the device."""
+        with LOCK:
+            ti.sync()
+
+    def supports(self, op: str, dtype: DTypeLike, device: str) -> str | None:
+        """None when the operation can run, otherwise the reason why not."""
+        if op not in OPS:
+            return f"no operation {op!r}"
+        if np.dtype(dtype) not in (np.dtype(np.float32), np.dtype(np.float64)):
+            return f"dtype {np.dtype(dtype)} is neither float32 nor float64"
+        return None if device in self.devices() else f"no device {device!r}"
+
+    def needs_compile(self, device: str = "cpu", kernels: KernelSet = DEFAULT_KERNELS) -> bool:
+        """Whether `load` is still to be called, which takes a second even from Taichi's own cache."""
+        runtime.require(device)
+        return kernels not in self._loaded
+
+    def load(self, device: str = "cpu", kernels: KernelSet = DEFAULT_KERNELS) -> None:
+        """Compile or load kernels (float32); call it before threads start."""
+        runtime.require(device)
+        with LOCK:
+            if kernels not in self._loaded:
+                for kernel in _kernels(kernels):
+                    compile_kernel(kernel)
+                self._loaded.add(kernels)
+
+
+def _kernels(kernels: KernelSet) -> list[Any]:
+    """List the kernels that reading a code launches."""
+    f32 = ti.f32
+    return [
+        splat.make_bin_events(f32),
+        lag.make_deposit_events(f32),
+        lag.make_lag_rows(f32),
+        lag.make_lag_columns(f32),
+    ]
+
+
+def load() -> TaichiBackend:
+    """Make the backend; the registry calls it."""
+    return TaichiBackend()

@@ -1,0 +1,83 @@
+"""The one place that imports Taichi, and what the kernel files share: array types, and launching.
+
+Taichi is ``taichi``, or its maintained fork ``quadrants`` where ``taichi`` is not installed or the
+environment variable EVQR_TAICHI is "quadrants".  Both compile the same kernels.
+"""
+
+import importlib
+import importlib.util
+import inspect
+import os
+import threading
+import warnings
+from contextlib import contextmanager
+
+import numpy as np
+
+
+@contextmanager
+def environment(**variables: str):
+    """Set environment variables for a while."""
+    before = {name: os.environ.get(name) for name in variables}
+    os.environ.update(variables)
+    try:
+        yield
+    finally:
+        for name, value in before.items():
+            if value is None:
+                del os.environ[name]
+            else:
+                os.environ[name] = value
+
+
+def _import_taichi():
+    asked = os.environ.get("EVQR_TAICHI", "taichi")
+    if asked not in ("taichi", "quadrants"):
+        raise ImportError(f"EVQR_TAICHI must be taichi or quadrants, got {asked!r}")
+    if asked == "taichi" and not importlib.util.find_spec("taichi") and importlib.util.find_spec("quadrants"):
+        asked = "quadrants"
+    # neither its greeting nor its own uses of what Python deprecates are for our users
+    with (
+        environment(ENABLE_TAICHI_HEADER_PRINT="0", ENABLE_QUADRANTS_HEADER_PRINT="0"),
+        warnings.catch_warnings(),
+    ):
+        warnings.filterwarnings("ignore", category=DeprecationWarning, module=rf"{asked}\.")
+        return importlib.import_module(asked)
+
+
+ti = _import_taichi()
+
+LOCK = threading.RLock()
+"""Held while Taichi compiles, launches or copies: its front end has one state for all threads."""
+
+
+def array(dtype, axes: int):
+    """Give the type of a kernel's array argument: a NumPy array on the CPU, a Taichi one elsewhere."""
+    return ti.types.ndarray(dtype, axes)
+
+
+def float_of(array):
+    """Give the Taichi type of a float array's elements."""
+    return ti.f64 if str(array.dtype) in ("float64", "f64") else ti.f32
+
+
+def launch(kernel, *arguments) -> None:
+    """Launch a kernel; it is compiled first if need be."""
+    with LOCK:
+        kernel(*arguments)
+
+
+def compile_kernel(kernel) -> None:
+    """Compile a kernel, or load it from Taichi's cache, by launching it on empty arrays."""
+    launch(
+        kernel,
+        *(_nothing(parameter.annotation) for parameter in inspect.signature(kernel).parameters.values()),
+    )
+
+
+def _nothing(annotation):
+    if not hasattr(annotation, "ndim"):
+        return 0
+    return np.empty(
+        (0,) * annotation.ndim, {ti.f32: np.float32, ti.f64: np.float64, ti.i32: np.int32}[annotation.dtype]
+    )
