@@ -3,6 +3,7 @@
 from functools import cache
 
 from evqr_kernels.config import SplatConfig
+from evqr_kernels.taichi_backend.exponential import make_exp
 from evqr_kernels.taichi_backend.language import array, float_of, launch, ti
 
 
@@ -66,6 +67,7 @@ def make_splat_taps(dtype, cfg: SplatConfig):
     gauss = [cfg.norm * cfg.gauss(k) for k in range(-reach, reach + 1)]
     inverse_variance = 1.0 / cfg.epsilon_px**2
     inverse_radius_sq = 1.0 / cfg.radius_px**2
+    exp = make_exp(dtype)
 
     @ti.func
     def splat_taps(offset):
@@ -73,9 +75,9 @@ def make_splat_taps(dtype, cfg: SplatConfig):
         # one a tap
         value = ti.Vector.zero(dtype, taps)
         slope = ti.Vector.zero(dtype, taps)
-        up = ti.exp(offset * dtype(inverse_variance))
+        up = exp(offset * dtype(inverse_variance))
         down = dtype(1.0) / up
-        right = ti.exp(dtype(-0.5) * offset * offset * dtype(inverse_variance))
+        right = exp(dtype(-0.5) * offset * offset * dtype(inverse_variance))
         left = right
         for k in ti.static(range(reach + 1)):
             value[reach + k] = right * dtype(gauss[reach + k])

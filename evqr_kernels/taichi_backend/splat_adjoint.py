@@ -3,6 +3,7 @@
 from functools import cache
 
 from evqr_kernels.config import SplatConfig
+from evqr_kernels.taichi_backend.exponential import make_exp
 from evqr_kernels.taichi_backend.language import array, float_of, launch, ti
 from evqr_kernels.taichi_backend.splat import make_transport
 from evqr_kernels.taichi_backend.sums import add_partials
@@ -14,6 +15,7 @@ def make_profile(dtype, cfg: SplatConfig):
     norm = cfg.norm
     inverse_variance = 1.0 / cfg.epsilon_px**2
     inverse_radius_sq = 1.0 / cfg.radius_px**2
+    exp = make_exp(dtype)
 
     @ti.func
     def profile(r):
@@ -22,7 +24,7 @@ def make_profile(dtype, cfg: SplatConfig):
         second = dtype(0.0)
         q = dtype(1.0) - r * r * dtype(inverse_radius_sq)
         if q > dtype(0.0):
-            gauss = dtype(norm) * ti.exp(dtype(-0.5) * r * r * dtype(inverse_variance))
+            gauss = dtype(norm) * exp(dtype(-0.5) * r * r * dtype(inverse_variance))
             rate = q * dtype(inverse_variance) + dtype(4.0 * inverse_radius_sq)
             bend = dtype(2.0 * inverse_variance) * q + dtype(4.0 * inverse_radius_sq)
             value = gauss * q * q
