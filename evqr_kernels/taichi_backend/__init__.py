@@ -12,7 +12,7 @@ from numpy.typing import DTypeLike, NDArray
 
 from evqr_kernels.backend import OPS
 from evqr_kernels.config import DEFAULT_KERNELS, KernelSet
-from evqr_kernels.taichi_backend import lag, lag_adjoint, runtime, splat, splat_adjoint
+from evqr_kernels.taichi_backend import lag, lag_adjoint, render, residual, runtime, splat, splat_adjoint
 from evqr_kernels.taichi_backend.language import LOCK, compile_kernel, ti
 
 _DTYPES = {np.dtype(np.float32): ti.f32, np.dtype(np.float64): ti.f64, np.dtype(np.int32): ti.i32}
@@ -30,6 +30,10 @@ class TaichiBackend:
     deposit_events_adjoint = staticmethod(lag_adjoint.deposit_events_adjoint)
     lag_operator = staticmethod(lag.lag_operator)
     lag_operator_adjoint = staticmethod(lag_adjoint.lag_operator_adjoint)
+    render_affine = staticmethod(render.render_affine)
+    render_affine_adjoint = staticmethod(render.render_affine_adjoint)
+    brightness_residual = staticmethod(residual.brightness_residual)
+    brightness_residual_adjoint = staticmethod(residual.brightness_residual_adjoint)
 
     def __init__(self) -> None:
         self._loaded: set[KernelSet] = set()
