@@ -12,7 +12,19 @@ from numpy.typing import DTypeLike, NDArray
 
 from evqr_kernels.backend import OPS
 from evqr_kernels.config import DEFAULT_KERNELS, KernelSet
-from evqr_kernels.taichi_backend import lag, lag_adjoint, render, residual, runtime, splat, splat_adjoint
+from evqr_kernels.taichi_backend import (
+    align,
+    code,
+    lag,
+    lag_adjoint,
+    pose,
+    render,
+    residual,
+    runtime,
+    solve,
+    splat,
+    splat_adjoint,
+)
 from evqr_kernels.taichi_backend.language import LOCK, compile_kernel, ti
 
 _DTYPES = {np.dtype(np.float32): ti.f32, np.dtype(np.float64): ti.f64, np.dtype(np.int32): ti.i32}
@@ -30,6 +42,11 @@ class TaichiBackend:
     deposit_events_adjoint = staticmethod(lag_adjoint.deposit_events_adjoint)
     lag_operator = staticmethod(lag.lag_operator)
     lag_operator_adjoint = staticmethod(lag_adjoint.lag_operator_adjoint)
+    sample_moments = staticmethod(pose.sample_moments)
+    sample_moments_adjoint = staticmethod(pose.sample_moments_adjoint)
+    align_poses = staticmethod(align.align_poses)
+    code_rhs = staticmethod(code.code_rhs)
+    solve_code = staticmethod(solve.solve_code)
     render_affine = staticmethod(render.render_affine)
     render_affine_adjoint = staticmethod(render.render_affine_adjoint)
     brightness_residual = staticmethod(residual.brightness_residual)

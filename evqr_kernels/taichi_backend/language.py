@@ -61,6 +61,11 @@ def float_of(array):
     return ti.f64 if str(array.dtype) in ("float64", "f64") else ti.f32
 
 
+def is_on_cpu(array) -> bool:
+    """Whether an array that is not empty lies in the host's memory."""
+    return isinstance(array, np.ndarray)
+
+
 def launch(kernel, *arguments) -> None:
     """Launch a kernel; it is compiled first if need be."""
     with LOCK:

@@ -62,6 +62,7 @@ def _start(device: str) -> None:
             fast_math=False,  # which takes for granted that no coordinate is NaN
             offline_cache=True,
             log_level=ti.WARN,
+            unrolling_limit=0,  # no warning of a wide splat's many taps
         )
     if running_on() != device:
         raise RuntimeError(f"Taichi was asked to run on {device!r} and runs on {running_on()!r}")
