@@ -17,6 +17,7 @@ from evqr_kernels.taichi_backend import (
     code,
     lag,
     lag_adjoint,
+    motion,
     pose,
     render,
     residual,
@@ -24,6 +25,7 @@ from evqr_kernels.taichi_backend import (
     solve,
     splat,
     splat_adjoint,
+    templates,
 )
 from evqr_kernels.taichi_backend.language import LOCK, compile_kernel, ti
 
@@ -42,6 +44,9 @@ class TaichiBackend:
     deposit_events_adjoint = staticmethod(lag_adjoint.deposit_events_adjoint)
     lag_operator = staticmethod(lag.lag_operator)
     lag_operator_adjoint = staticmethod(lag_adjoint.lag_operator_adjoint)
+    motion_correlation = staticmethod(motion.motion_correlation)
+    reduce_image = staticmethod(templates.reduce_image)
+    correlate_templates = staticmethod(templates.correlate_templates)
     sample_moments = staticmethod(pose.sample_moments)
     sample_moments_adjoint = staticmethod(pose.sample_moments_adjoint)
     align_poses = staticmethod(align.align_poses)
@@ -124,11 +129,20 @@ class TaichiBackend:
 def _kernels(kernels: KernelSet) -> list[Any]:
     """List the kernels that reading a code launches."""
     f32 = ti.f32
+    on_cpu = runtime.running_on() == "cpu"
     return [
         splat.make_bin_events(f32),
         lag.make_deposit_events(f32),
         lag.make_lag_rows(f32),
         lag.make_lag_columns(f32),
+        motion.make_correlate_rows(f32),
+        motion.make_add_rows(f32),
+        templates.make_reduce_image(f32),
+        templates.make_correlate_templates(f32),
+        align.make_align_poses(f32, kernels.table_columns),
+        code.make_sample_rows(f32),
+        code.make_fold_columns(f32),
+        *solve.make_kernels(f32, on_cpu),
     ]
 
 
