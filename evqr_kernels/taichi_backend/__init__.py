@@ -5,6 +5,7 @@ its memory as it is.  A launch there runs on all cores and holds the GIL, so tha
 """
 
 import math
+from collections.abc import Callable
 from typing import Any
 
 import numpy as np
@@ -27,7 +28,7 @@ from evqr_kernels.taichi_backend import (
     splat_adjoint,
     templates,
 )
-from evqr_kernels.taichi_backend.language import LOCK, compile_kernel, ti
+from evqr_kernels.taichi_backend.language import LOCK, compile_kernel, launch, record, ti
 
 _DTYPES = {np.dtype(np.float32): ti.f32, np.dtype(np.float64): ti.f64, np.dtype(np.int32): ti.i32}
 
@@ -82,8 +83,7 @@ class TaichiBackend:
             runtime.require(device)
             return array
         there = self.empty(array.shape, array.dtype, device)
-        with LOCK:
-            there.from_numpy(array)
+        self.assign(there, array)
         return there
 
     def to_host(self, array: Any) -> NDArray[Any]:
@@ -93,10 +93,21 @@ class TaichiBackend:
         with LOCK:
             return array.to_numpy()
 
+    def assign(self, array: Any, values: NDArray[Any]) -> None:
+        """Copy a NumPy array of the same shape and dtype into an array."""
+        if isinstance(array, np.ndarray):
+            array[...] = values
+        else:
+            with LOCK:
+                array.from_numpy(np.ascontiguousarray(values))
+
     def clear(self, array: Any) -> None:
         """Fill an array with zeros."""
-        with LOCK:
-            array.fill(0)
+        launch(array.fill, 0)
+
+    def record(self, run: Callable[[], None]) -> Callable[[], None]:
+        """Note down what ``run`` launches; the result launches it again."""
+        return record(run)
 
     def synchronize(self, device: str) -> None:
         """Wait for everything launched on the device."""

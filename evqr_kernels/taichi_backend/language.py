@@ -10,7 +10,10 @@ import inspect
 import os
 import threading
 import warnings
+from collections.abc import Callable
 from contextlib import contextmanager
+from functools import partial
+from typing import Any
 
 import numpy as np
 
@@ -52,7 +55,7 @@ LOCK = threading.RLock()
 
 
 def array(dtype, axes: int):
-    """Give the type of a kernel's array argument: a NumPy array on the CPU, a Taichi one elsewhere."""
+    """Give the type of a kernel's array argument: NumPy's on the CPU, Taichi's elsewhere."""
     return ti.types.ndarray(dtype, axes)
 
 
@@ -66,10 +69,48 @@ def is_on_cpu(array) -> bool:
     return isinstance(array, np.ndarray)
 
 
+class _Recording(threading.local):
+    """What this thread records instead of launching; None while it does not."""
+
+    steps: list[Callable[[], Any]] | None = None
+
+
+_recording = _Recording()
+
+
 def launch(kernel, *arguments) -> None:
-    """Launch a kernel; it is compiled first if need be."""
+    """Launch a kernel, or note the launch down while this thread records."""
+    step = partial(_launch, kernel, arguments)
+    if _recording.steps is None:
+        step()
+    else:
+        _recording.steps.append(step)
+
+
+def _launch(kernel, arguments) -> None:
+    """Launch; it takes whole arrays only, so that one cut out of another is copied, and back."""
+    cut = [a for a in arguments if isinstance(a, np.ndarray) and not a.flags.c_contiguous]
+    copies = {id(array): array.copy() for array in cut}
     with LOCK:
-        kernel(*arguments)
+        kernel(*(copies.get(id(argument), argument) for argument in arguments))
+    for array in cut:
+        array[...] = copies[id(array)]
+
+
+def record(run: Callable[[], None]) -> Callable[[], None]:
+    """Note down what ``run`` launches, launching nothing; the result launches it all."""
+    steps: list[Callable[[], Any]] = []
+    _recording.steps = steps
+    try:
+        run()
+    finally:
+        _recording.steps = None
+
+    def replay() -> None:
+        for step in steps:
+            step()
+
+    return replay
 
 
 def compile_kernel(kernel) -> None:

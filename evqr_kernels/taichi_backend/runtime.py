@@ -11,9 +11,11 @@ from functools import cache
 from evqr_kernels.native_output import without_lines
 from evqr_kernels.taichi_backend.language import LOCK, environment, ti
 
-_HOSTS = ("x64", "arm64")
 _DEVICES = {"cpu": "cpu", "cuda:0": "cuda", "vulkan": "vulkan", "metal": "metal"}
 """What Taichi calls a device."""
+
+_NAMES = {ti.x64: "cpu", ti.arm64: "cpu", ti.cuda: "cuda:0"}
+"""Names of architectures that are not their own."""
 
 _NOISE = b"libcuda.so lib not found", b"RHI Error: Can not create Vulkan instance"
 
@@ -23,8 +25,8 @@ def running_on() -> str | None:
     config = ti.cfg
     if config is None:
         return None
-    arch = ti.lang.impl.current_cfg().arch.name
-    return "cpu" if arch in _HOSTS else {"cuda": "cuda:0"}.get(arch, arch)
+    arch = config.arch
+    return _NAMES[arch] if arch in _NAMES else arch.name
 
 
 @cache
