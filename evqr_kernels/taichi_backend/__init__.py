@@ -111,6 +111,7 @@ class TaichiBackend:
 
     def synchronize(self, device: str) -> None:
         """Wait for everything launched on the device."""
+        runtime.require(device)
         with LOCK:
             ti.sync()
 

@@ -9,7 +9,8 @@ import io
 from functools import cache
 
 from evqr_kernels.native_output import without_lines
-from evqr_kernels.taichi_backend.language import LOCK, environment, ti
+from evqr_kernels.taichi_backend.language import LOCK, compile_kernel, environment, ti
+from evqr_kernels.taichi_backend.sums import make_add_partials
 
 _DEVICES = {"cpu": "cpu", "cuda:0": "cuda", "vulkan": "vulkan", "metal": "metal"}
 """What Taichi calls a device."""
@@ -41,7 +42,7 @@ def devices() -> tuple[str, ...]:
 def require(device: str) -> None:
     """Start Taichi on a device, unless it runs there; raise ValueError where it cannot.
 
-    Kernels may be compiled in any thread once one has been compiled in the thread that started Taichi.
+    Any thread may compile kernels once the one that started Taichi has compiled one.
     """
     with LOCK:
         found = running_on()
@@ -68,9 +69,4 @@ def _start(device: str) -> None:
         )
     if running_on() != device:
         raise RuntimeError(f"Taichi was asked to run on {device!r} and runs on {running_on()!r}")
-    _first_kernel()
-
-
-@ti.kernel
-def _first_kernel():
-    pass
+    compile_kernel(make_add_partials(ti.f32))

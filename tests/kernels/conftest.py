@@ -2,10 +2,11 @@
 
 import numpy as np
 import pytest
+from backends import COMPARED, needs
 
 from evqr_kernels import get_backend
 
-from .helpers import COMPARED, Runner, needs
+from .helpers import Runner
 
 
 def pytest_generate_tests(metafunc):

@@ -1,23 +1,6 @@
 """Calling operations on NumPy arrays; comparing with the specification, by dot product, by differences."""
 
-import importlib.util
-
 import numpy as np
-import pytest
-
-COMPARED = ("warp", "taichi")
-"""Backends other than the specification."""
-
-
-def needs(name):
-    """Marks that skip a test of a backend that cannot be here."""
-    if name == "taichi" and not any(map(importlib.util.find_spec, ("taichi", "quadrants"))):
-        return [pytest.mark.skip(reason="neither taichi nor quadrants is installed")]
-    return []
-
-
-BACKENDS = tuple(pytest.param(name, marks=needs(name)) for name in ("numpy", *COMPARED))
-"""All of them, as parameters of a test."""
 
 TOLERANCE = {np.dtype(np.float32): 2e-5, np.dtype(np.float64): 1e-12}
 """Largest error relative to the largest value: some hundred roundings, in another order."""

@@ -6,12 +6,11 @@ import sys
 
 import numpy as np
 import pytest
+from backends import BACKENDS
 
 import evqr_kernels
 from evqr_kernels import BackendUnavailable, backend, get_backend, register_backend
 from evqr_kernels.backend import OPS, require_device
-
-from .helpers import BACKENDS
 
 HEAVY = (
     "warp",

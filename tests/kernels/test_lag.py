@@ -4,11 +4,12 @@ from itertools import pairwise
 
 import numpy as np
 import pytest
+from backends import BACKENDS
 
 import evqr_kernels
 
 from . import cases
-from .helpers import BACKENDS, assert_adjoint, assert_close, filled
+from .helpers import assert_adjoint, assert_close, filled
 
 BLUR = np.exp(-0.5 * (np.arange(-2, 3) / 0.8) ** 2)
 SLOPE = np.arange(-2, 3) * BLUR

@@ -2,13 +2,13 @@
 
 import numpy as np
 import pytest
+from backends import BACKENDS
 
 import evqr_kernels
 from evqr_kernels import backend, ops, register_backend
 from evqr_kernels.backend import OPS
 
 from . import cases
-from .helpers import BACKENDS
 
 E, B, Y, X = 10, 2, 9, 12
 
