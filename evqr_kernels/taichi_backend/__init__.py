@@ -30,6 +30,9 @@ from evqr_kernels.taichi_backend import (
 )
 from evqr_kernels.taichi_backend.language import LOCK, compile_kernel, launch, record, ti
 
+TAPS = 5
+"""Taps of the lag operator that reading a code asks for."""
+
 _DTYPES = {np.dtype(np.float32): ti.f32, np.dtype(np.float64): ti.f64, np.dtype(np.int32): ti.i32}
 
 
@@ -143,10 +146,10 @@ def _kernels(kernels: KernelSet) -> list[Any]:
     f32 = ti.f32
     on_cpu = runtime.running_on() == "cpu"
     return [
-        splat.make_bin_events(f32),
-        lag.make_deposit_events(f32),
-        lag.make_lag_rows(f32),
-        lag.make_lag_columns(f32),
+        splat.make_bin_events(f32, not on_cpu),
+        lag.make_deposit_events(f32, not on_cpu),
+        lag.make_lag_rows(f32, TAPS),
+        lag.make_lag_columns(f32, TAPS),
         motion.make_correlate_rows(f32),
         motion.make_add_rows(f32),
         templates.make_reduce_image(f32),

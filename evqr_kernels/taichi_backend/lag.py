@@ -2,19 +2,14 @@
 
 from functools import cache
 
-from evqr_kernels.taichi_backend.language import array, float_of, launch, ti
-from evqr_kernels.taichi_backend.splat import make_transport
-
-BLOCK = 16
-"""Neighbouring cells that one thread does together."""
-
-CHUNK = 64
-"""Events that one thread takes one after another: what belongs to the window is looked up once."""
+from evqr_kernels.taichi_backend.language import array, float_of, is_on_cpu, launch, ti
+from evqr_kernels.taichi_backend.splat import events_a_thread, make_add, make_transport
 
 
 @cache
-def make_deposit_events(dtype):
+def make_deposit_events(dtype, shared: bool):
     """Build the kernel; one thread per (window, chunk of the longest window)."""
+    add = make_add(shared)
     transport = make_transport(dtype)
 
     @ti.kernel
@@ -26,9 +21,10 @@ def make_deposit_events(dtype):
         window_ptr: array(ti.i32, 1),
         motion: array(dtype, 2),
         frame: array(dtype, 2),
+        chunk: ti.i32,
         deposit_out: array(dtype, 4),
     ):
-        for b, chunk in ti.ndrange(motion.shape[0], (x.shape[0] + CHUNK - 1) // CHUNK):
+        for b, k in ti.ndrange(motion.shape[0], (x.shape[0] + chunk - 1) // chunk):
             motion_x = motion[b, 0]
             motion_y = motion[b, 1]
             origin_x = frame[b, 0]
@@ -36,8 +32,8 @@ def make_deposit_events(dtype):
             inverse_scale = dtype(1.0) / frame[b, 2]
             right = dtype(deposit_out.shape[3] - 1)
             bottom = dtype(deposit_out.shape[2] - 1)
-            first = window_ptr[b] + chunk * CHUNK
-            for e in range(first, ti.min(first + CHUNK, window_ptr[b + 1])):
+            first = window_ptr[b] + k * chunk
+            for e in range(first, ti.min(first + chunk, window_ptr[b + 1])):
                 cx = transport(x[e], t[e], motion_x, origin_x, inverse_scale)
                 cy = transport(y[e], t[e], motion_y, origin_y, inverse_scale)
                 # written so that it is false for NaN
@@ -49,23 +45,28 @@ def make_deposit_events(dtype):
                     at_right = (cx - dtype(column)) * w
                     at_left = w - at_right
                     fy = cy - dtype(row)
-                    deposit_out[b, image, row, column] += at_left - fy * at_left
-                    deposit_out[b, image, row, column + 1] += at_right - fy * at_right
-                    deposit_out[b, image, row + 1, column] += fy * at_left
-                    deposit_out[b, image, row + 1, column + 1] += fy * at_right
+                    add(deposit_out, ti.Vector([b, image, row, column]), at_left - fy * at_left)
+                    add(deposit_out, ti.Vector([b, image, row, column + 1]), at_right - fy * at_right)
+                    add(deposit_out, ti.Vector([b, image, row + 1, column]), fy * at_left)
+                    add(deposit_out, ti.Vector([b, image, row + 1, column + 1]), fy * at_right)
 
     return deposit_events
 
 
 def deposit_events(x, y, t, weight, window_ptr, motion, frame, deposit_out) -> None:
-    """Launch; accumulates.  Float atomics: sums repeat to a tolerance, not bit for bit."""
-    kernel = make_deposit_events(float_of(x))
-    launch(kernel, x, y, t, weight, window_ptr, motion, frame, deposit_out)
+    """Launch; accumulates.  Float atomics on GPUs: sums repeat to a tolerance there, not bit for bit."""
+    kernel = make_deposit_events(float_of(x), not is_on_cpu(x))
+    launch(kernel, x, y, t, weight, window_ptr, motion, frame, events_a_thread(x), deposit_out)
 
 
 @cache
-def make_lag_rows(dtype):
-    """Build the pass along rows; one thread per (image, row)."""
+def make_lag_rows(dtype, size: int):
+    """Build the pass along rows for so many taps; one thread per (image, row).
+
+    A thread slides a window of as many cells as there are taps along the row, in registers: of both deposits
+    together, and of both weighted with their lags.
+    """
+    reach = size // 2
 
     @ti.kernel
     def lag_rows(
@@ -78,54 +79,63 @@ def make_lag_rows(dtype):
     ):
         for n, y in ti.ndrange(rows_out.shape[0], rows_out.shape[2]):
             b = deposit_idx[n]
-            size = taps.shape[1]
-            reach = size // 2
-            width = rows_out.shape[3]
+            direction_x = direction[n, 0]
+            direction_y = direction[n, 1]
             lag_on = lag[n, 0]
             lag_off = lag[n, 1]
-            for x in range(reach, width - reach):
-                on = dtype(0.0)
-                off = dtype(0.0)
-                on_slope = dtype(0.0)
-                off_slope = dtype(0.0)
-                for i in range(size):
-                    v = deposit[b, 0, y, x + i - reach]
-                    on += taps[0, i] * v
-                    on_slope += taps[1, i] * v
-                    v = deposit[b, 1, y, x + i - reach]
-                    off += taps[0, i] * v
-                    off_slope += taps[1, i] * v
-                slope = lag_on * on_slope + lag_off * off_slope
-                rows_out[n, 0, y, x] = on + off - direction[n, 0] * slope
-                rows_out[n, 1, y, x] = -direction[n, 1] * (lag_on * on + lag_off * off)
+            blur = ti.Vector([taps[0, i] for i in range(size)])
+            slope = ti.Vector([taps[1, i] for i in range(size)])
+            both = ti.Vector.zero(dtype, size)
+            lagging = ti.Vector.zero(dtype, size)
+            for x in range(rows_out.shape[3]):
+                for i in ti.static(range(size - 1)):
+                    both[i] = both[i + 1]
+                    lagging[i] = lagging[i + 1]
+                on = deposit[b, 0, y, x]
+                off = deposit[b, 1, y, x]
+                both[size - 1] = on + off
+                lagging[size - 1] = lag_on * on + lag_off * off
+                if x >= size - 1:
+                    rows_out[n, 0, y, x - reach] = blur.dot(both) - direction_x * slope.dot(lagging)
+                    rows_out[n, 1, y, x - reach] = -direction_y * blur.dot(lagging)
 
     return lag_rows
 
 
 @cache
-def make_lag_columns(dtype):
-    """Build the pass along columns; launch as the rows."""
+def make_lag_columns(dtype, size: int):
+    """Build the pass along columns for so many taps; one thread per (image, column), as the rows."""
+    reach = size // 2
 
     @ti.kernel
     def lag_columns(rows: array(dtype, 4), taps: array(dtype, 2), image_out: array(dtype, 3)):
-        for n, y in ti.ndrange(image_out.shape[0], image_out.shape[1]):
-            size = taps.shape[1]
-            reach = size // 2
+        for n, x in ti.ndrange(image_out.shape[0], image_out.shape[2]):
             height = image_out.shape[1]
-            width = image_out.shape[2]
-            for x in range(width):
-                total = dtype(0.0)
-                if y >= reach and y < height - reach and x >= reach and x < width - reach:
-                    for j in range(size):
-                        total += taps[0, j] * rows[n, 0, y + j - reach, x]
-                        total += taps[1, j] * rows[n, 1, y + j - reach, x]
-                image_out[n, y, x] = total
+            inside = x >= reach and x < image_out.shape[2] - reach
+            blur = ti.Vector([taps[0, i] for i in range(size)])
+            slope = ti.Vector([taps[1, i] for i in range(size)])
+            along = ti.Vector.zero(dtype, size)
+            across = ti.Vector.zero(dtype, size)
+            for y in range(ti.min(reach, height)):
+                image_out[n, y, x] = dtype(0.0)
+                image_out[n, height - 1 - y, x] = dtype(0.0)
+            for y in range(height):
+                for i in ti.static(range(size - 1)):
+                    along[i] = along[i + 1]
+                    across[i] = across[i + 1]
+                along[size - 1] = rows[n, 0, y, x]
+                across[size - 1] = rows[n, 1, y, x]
+                if y >= size - 1:
+                    total = dtype(0.0)
+                    if inside:
+                        total = blur.dot(along) + slope.dot(across)
+                    image_out[n, y - reach, x] = total
 
     return lag_columns
 
 
 def lag_operator(deposit, deposit_idx, direction, lag, taps, rows_out, image_out) -> None:
     """Launch both passes; overwrites."""
-    dtype = float_of(deposit)
-    launch(make_lag_rows(dtype), deposit, deposit_idx, direction, lag, taps, rows_out)
-    launch(make_lag_columns(dtype), rows_out, taps, image_out)
+    dtype, size = float_of(deposit), taps.shape[1]
+    launch(make_lag_rows(dtype, size), deposit, deposit_idx, direction, lag, taps, rows_out)
+    launch(make_lag_columns(dtype, size), rows_out, taps, image_out)

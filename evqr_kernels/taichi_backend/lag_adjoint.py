@@ -3,7 +3,21 @@
 from functools import cache
 
 from evqr_kernels.taichi_backend.language import array, float_of, launch, ti
-from evqr_kernels.taichi_backend.splat import make_transport, window_of
+from evqr_kernels.taichi_backend.splat import make_transport
+
+
+@ti.func
+def window_of(window_ptr: ti.template(), event):
+    """Find the window of an event: the last one that begins at or before it, by bisection."""
+    low = 0
+    high = window_ptr.shape[0] - 1
+    while high - low > 1:
+        middle = (low + high) // 2
+        if window_ptr[middle] <= event:
+            low = middle
+        else:
+            high = middle
+    return low
 
 
 @cache

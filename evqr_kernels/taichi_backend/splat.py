@@ -4,26 +4,35 @@ from functools import cache
 
 from evqr_kernels.config import SplatConfig
 from evqr_kernels.taichi_backend.exponential import make_exp
-from evqr_kernels.taichi_backend.language import array, float_of, launch, ti
+from evqr_kernels.taichi_backend.language import array, float_of, is_on_cpu, launch, ti
 
-
-@ti.func
-def window_of(window_ptr: ti.template(), event):
-    """Find the window of an event: the last one that begins at or before it, by bisection."""
-    low = 0
-    high = window_ptr.shape[0] - 1
-    while high - low > 1:
-        middle = (low + high) // 2
-        if window_ptr[middle] <= event:
-            low = middle
-        else:
-            high = middle
-    return low
+CHUNK = 64
+"""Events that one thread of a GPU takes one after another: what belongs to the window is looked up once."""
 
 
 @cache
-def make_bin_events(dtype):
-    """Build the binning kernel; one thread per event."""
+def make_add(shared: bool):
+    """Build the addition to an element that other threads may add to at the same time, if it is shared."""
+
+    @ti.func
+    def add(image: ti.template(), index, value):
+        if ti.static(shared):
+            image[index] += value  # atomic
+        else:
+            image[index] = image[index] + value
+
+    return add
+
+
+def events_a_thread(x) -> int:
+    """Choose how many events of a window a thread takes: on the CPU all, so that the window has one owner."""
+    return max(x.shape[0], 1) if is_on_cpu(x) else CHUNK
+
+
+@cache
+def make_bin_events(dtype, shared: bool):
+    """Build the binning kernel; one thread per (window, chunk of the longest window)."""
+    add = make_add(shared)
 
     @ti.kernel
     def bin_events(
@@ -32,20 +41,24 @@ def make_bin_events(dtype):
         weight: array(dtype, 1),
         window_ptr: array(ti.i32, 1),
         inverse_reduction: dtype,
+        chunk: ti.i32,
         image_out: array(dtype, 3),
     ):
-        for e in range(x.shape[0]):
-            column = int(ti.floor((x[e] + dtype(0.5)) * inverse_reduction))
-            row = int(ti.floor((y[e] + dtype(0.5)) * inverse_reduction))
-            if row >= 0 and column >= 0 and row < image_out.shape[1] and column < image_out.shape[2]:
-                image_out[window_of(window_ptr, e), row, column] += weight[e]
+        for b, k in ti.ndrange(image_out.shape[0], (x.shape[0] + chunk - 1) // chunk):
+            first = window_ptr[b] + k * chunk
+            for e in range(first, ti.min(first + chunk, window_ptr[b + 1])):
+                column = int(ti.floor((x[e] + dtype(0.5)) * inverse_reduction))
+                row = int(ti.floor((y[e] + dtype(0.5)) * inverse_reduction))
+                if row >= 0 and column >= 0 and row < image_out.shape[1] and column < image_out.shape[2]:
+                    add(image_out, ti.Vector([b, row, column]), weight[e])
 
     return bin_events
 
 
 def bin_events(x, y, weight, window_ptr, reduction: float, image_out) -> None:
-    """Launch; accumulates.  Float atomics: sums repeat to a tolerance, not bit for bit."""
-    launch(make_bin_events(float_of(x)), x, y, weight, window_ptr, 1.0 / reduction, image_out)
+    """Launch; accumulates.  Float atomics on GPUs: sums repeat to a tolerance there, not bit for bit."""
+    kernel = make_bin_events(float_of(x), not is_on_cpu(x))
+    launch(kernel, x, y, weight, window_ptr, 1.0 / reduction, events_a_thread(x), image_out)
 
 
 @cache
@@ -96,8 +109,9 @@ def make_splat_taps(dtype, cfg: SplatConfig):
 
 
 @cache
-def make_splat_events(dtype, cfg: SplatConfig):
-    """Build the splat kernel for one precision and shape of splat; one thread per event."""
+def make_splat_events(dtype, cfg: SplatConfig, shared: bool):
+    """Build the splat kernel for a precision and a shape of splat; one thread per (window, chunk)."""
+    add = make_add(shared)
     reach = cfg.reach
     taps = 2 * reach + 1
     margin = float(taps)
@@ -114,49 +128,54 @@ def make_splat_events(dtype, cfg: SplatConfig):
         motion: array(dtype, 2),
         lag: array(dtype, 2),
         frame: array(dtype, 2),
+        chunk: ti.i32,
         image_out: array(dtype, 3),
     ):
-        for e in range(x.shape[0]):
-            window = window_of(window_ptr, e)
-            inverse_scale = dtype(1.0) / frame[window, 2]
-            motion_x = motion[window, 0]
-            motion_y = motion[window, 1]
-            cx = transport(x[e], t[e], motion_x, frame[window, 0], inverse_scale)
-            cy = transport(y[e], t[e], motion_y, frame[window, 1], inverse_scale)
+        for b, k in ti.ndrange(image_out.shape[0], (x.shape[0] + chunk - 1) // chunk):
+            inverse_scale = dtype(1.0) / frame[b, 2]
+            motion_x = motion[b, 0]
+            motion_y = motion[b, 1]
+            origin_x = frame[b, 0]
+            origin_y = frame[b, 1]
+            lag_on = lag[b, 0]
+            lag_off = lag[b, 1]
+            speed = ti.sqrt(motion_x * motion_x + motion_y * motion_y)
+            inverse_speed = dtype(0.0)
+            if speed > dtype(0.0):
+                inverse_speed = dtype(1.0) / speed
             height = image_out.shape[1]
             width = image_out.shape[2]
-            # written so that it is false for NaN
-            if (
-                cx > dtype(-margin)
-                and cy > dtype(-margin)
-                and cx < dtype(width) + dtype(margin)
-                and cy < dtype(height) + dtype(margin)
-            ):
-                column = int(ti.floor(cx + dtype(0.5)))
-                row = int(ti.floor(cy + dtype(0.5)))
-                w = weight[e]
-                lag_px = lag[window, 0]
-                if w < dtype(0.0):
-                    lag_px = lag[window, 1]
-                speed = ti.sqrt(motion_x * motion_x + motion_y * motion_y)
-                if speed > dtype(0.0):
-                    lag_px /= speed
-                gx, sx = splat_taps(cx - dtype(column))
-                gy, sy = splat_taps(cy - dtype(row))
-                along = w * (gx - (lag_px * motion_x) * sx)
-                across = (-w * lag_px * motion_y) * gx
-                for j in range(ti.max(row - reach, 0), ti.min(row + reach + 1, height)):
-                    g = gy[j - row + reach]
-                    s = sy[j - row + reach]
-                    for k in ti.static(range(taps)):
-                        i = column + k - reach
-                        if i >= 0 and i < width:
-                            image_out[window, j, i] += g * along[k] + s * across[k]
+            first = window_ptr[b] + k * chunk
+            for e in range(first, ti.min(first + chunk, window_ptr[b + 1])):
+                cx = transport(x[e], t[e], motion_x, origin_x, inverse_scale)
+                cy = transport(y[e], t[e], motion_y, origin_y, inverse_scale)
+                # written so that it is false for NaN
+                if (
+                    cx > dtype(-margin)
+                    and cy > dtype(-margin)
+                    and cx < dtype(width) + dtype(margin)
+                    and cy < dtype(height) + dtype(margin)
+                ):
+                    column = int(ti.floor(cx + dtype(0.5)))
+                    row = int(ti.floor(cy + dtype(0.5)))
+                    w = weight[e]
+                    lag_px = ti.select(w < dtype(0.0), lag_off, lag_on) * inverse_speed
+                    gx, sx = splat_taps(cx - dtype(column))
+                    gy, sy = splat_taps(cy - dtype(row))
+                    along = w * (gx - (lag_px * motion_x) * sx)
+                    across = (-w * lag_px * motion_y) * gx
+                    for j in range(ti.max(row - reach, 0), ti.min(row + reach + 1, height)):
+                        g = gy[j - row + reach]
+                        s = sy[j - row + reach]
+                        for i in ti.static(range(taps)):
+                            at = column + i - reach
+                            if at >= 0 and at < width:
+                                add(image_out, ti.Vector([b, j, at]), g * along[i] + s * across[i])
 
     return splat_events
 
 
 def splat_events(x, y, t, weight, window_ptr, motion, lag, frame, image_out, cfg: SplatConfig) -> None:
-    """Launch; accumulates.  Float atomics: sums repeat to a tolerance, not bit for bit."""
-    kernel = make_splat_events(float_of(x), cfg)
-    launch(kernel, x, y, t, weight, window_ptr, motion, lag, frame, image_out)
+    """Launch; accumulates.  Float atomics on GPUs: sums repeat to a tolerance there, not bit for bit."""
+    kernel = make_splat_events(float_of(x), cfg, not is_on_cpu(x))
+    launch(kernel, x, y, t, weight, window_ptr, motion, lag, frame, events_a_thread(x), image_out)

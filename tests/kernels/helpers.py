@@ -16,8 +16,6 @@ class Runner:
 
     def __init__(self, backend, device):
         self.backend, self.device = backend, device
-        self.adds_in_order = (backend.name, device) == ("warp", "cpu")
-        """Whether sums by atomics repeat bit for bit."""
 
     def __call__(self, op, inputs, outputs, *tail, **options):
         """Call with copies of the arrays; give copies of the outputs as the operation left them."""

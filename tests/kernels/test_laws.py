@@ -12,13 +12,17 @@ import evqr_kernels
 from . import cases
 from .helpers import assert_close, filled
 
-ATOMIC = ["splat_events", "deposit_events"]
-
 WINDOWED = [
-    *ATOMIC,
+    "splat_events",
+    "deposit_events",
     "motion_correlation",
     "reduce_image",
+    "surface_peak",
+    "clip_outliers",
     "correlate_templates",
+    "local_maxima",
+    "merge_maxima",
+    "match_corners",
     "code_rhs",
     "render_affine",
     "render_affine_adjoint",
@@ -30,7 +34,12 @@ WINDOWED = [
 def one_window(make, rng_seed, dtype, b):
     """The call with window b alone."""
     call = make(np.random.default_rng(rng_seed), dtype)
-    shared = {"correlate_templates": (1, 2), "code_rhs": (2, 3, 4)}.get(call.op, ())
+    shared = {
+        "correlate_templates": (1, 2, 3),
+        "surface_peak": (1,),
+        "match_corners": (1,),
+        "code_rhs": (2, 3, 4),
+    }.get(call.op, ())
     inputs = []
     if call.op in ("splat_events", "deposit_events"):
         ptr = call.inputs[4]
@@ -48,13 +57,13 @@ def one_window(make, rng_seed, dtype, b):
 
 @pytest.mark.parametrize("op", WINDOWED)
 def test_a_batch_equals_its_windows_one_by_one(op, placed, dtype):
-    """Bit for bit on a CPU, unless several threads add up the same sum."""
+    """Bit for bit where one thread at a time adds up."""
     make = getattr(cases, op)
     together = make(np.random.default_rng(5), dtype).run(placed)
     for b in range(cases.B):
         alone = one_window(make, 5, dtype, b).run(placed)
         for whole, part in zip(together, alone, strict=True):
-            if placed.adds_in_order or (placed.device == "cpu" and op not in ATOMIC):
+            if placed.device == "cpu":
                 np.testing.assert_array_equal(whole[b : b + 1], part)
             else:
                 assert_close(whole[b : b + 1], part)
@@ -67,10 +76,7 @@ def test_windows_on_threads_equal_windows_in_turn(placed, dtype):
     with ThreadPoolExecutor(3) as pool:
         at_once = list(pool.map(lambda call: call.run(placed)[0], calls))
     for one, other in zip(in_turn, at_once, strict=True):
-        if placed.adds_in_order:
-            np.testing.assert_array_equal(one, other)
-        else:
-            assert_close(one, other)
+        np.testing.assert_array_equal(one, other)
 
 
 @given(dx=st.integers(-4, 4), dy=st.integers(-4, 4))
@@ -79,9 +85,41 @@ def test_correlation_peaks_at_the_displacement(dx, dy):
     first = np.zeros((1, 24, 31))
     first[0, 6:18, 6:25] = rng.normal(size=(12, 19))
     second = np.roll(first, (dy, dx), axis=(1, 2))
-    surface = evqr_kernels.motion_correlation(first, second, radius=4)[0]
+    images = np.stack([first, second], axis=1)
+    (surface,), (energy,) = evqr_kernels.motion_correlation(images, radius=4, clip=10.0)
     assert np.unravel_index(surface.argmax(), surface.shape) == (dy + 4, dx + 4)
-    np.testing.assert_allclose(surface.max(), np.sum(first * first), rtol=1e-12)
+    np.testing.assert_allclose(energy, np.sum(first * first), rtol=1e-12)
+    np.testing.assert_allclose(surface.max(), energy[0], rtol=1e-12)
+
+
+def test_a_hot_pixel_counts_as_much_as_the_clip():
+    images = np.zeros((1, 2, 20, 40))
+    images[0, :, 10, 20] = 1000.0
+    images[0, 0, 4, 7] = images[0, 1, 5, 9] = 1.5
+    (surface,), (energy,) = evqr_kernels.motion_correlation(images, radius=3, clip=2.0)
+    np.testing.assert_allclose(energy, 4.0 + 2.25)
+    assert surface[3, 3] == 4.0
+    assert surface[4, 5] == 2.25
+    assert images[0, 0, 10, 20] == 1000.0
+
+
+@given(x=st.floats(-2.4, 2.4), y=st.floats(-2.4, 2.4))
+def test_the_vertex_of_a_paraboloid_is_found(x, y):
+    steps = np.arange(-4.0, 5.0)
+    surface = (
+        50.0 - (steps - x) ** 2 - 0.5 * (steps[:, None] - y) ** 2 - 0.3 * (steps - x) * (steps[:, None] - y)
+    )
+    peak = evqr_kernels.surface_peak(surface[None], np.eye(9))[0]
+    np.testing.assert_allclose(peak[:2], [x, y], atol=1e-9)
+    assert peak[2] == surface.max()
+
+
+def test_outliers_are_clipped_at_a_multiple_of_the_mean_magnitude():
+    image = np.zeros((1, 4, 6))
+    image[0, 0, :4] = 1.0, -1.0, 2.0, -16.0
+    clipped = evqr_kernels.clip_outliers(image, factor=2.0)
+    np.testing.assert_allclose(clipped[0, 0], [1.0, -1.0, 2.0, -10.0, 0.0, 0.0])
+    np.testing.assert_array_equal(evqr_kernels.clip_outliers(np.zeros((1, 4, 6)), factor=2.0), 0.0)
 
 
 @pytest.mark.parametrize("ratio", [1.0, 1.25, 2.0, 3.7])
@@ -93,29 +131,59 @@ def test_reduction_keeps_the_sum(ratio, dtype, rng):
         np.testing.assert_array_equal(small, image)
 
 
-def test_a_template_answers_to_itself_with_its_sign_and_angle(placed, dtype, rng):
-    """At its own place the response is the norm over the root of energy and floor; inverted: minus that."""
+def test_a_template_answers_to_itself_with_its_sign_and_angle(dtype, rng):
+    """At its own place the response is 1, less what the floor takes; inverted: minus that."""
     n = 7
-    bank = rng.normal(size=(n, n, 8))
-    bank /= np.sqrt((bank**2).sum(axis=(0, 1)))
+    basis, _ = np.linalg.qr(rng.normal(size=(n * n, 5)))
+    mix = rng.normal(size=(8, 5))
+    mix /= np.linalg.norm(mix, axis=1, keepdims=True)
+    bank = (basis @ mix.T).reshape(n, n, 8)
+    spans = np.tile(np.array([0, n], np.int32), (n, 1))
     for angle, sign in ((0, 1), (3, -1), (7, 1)):
         image = np.zeros((1, 20 + n - 1, 20 + n - 1))
         image[0, 9 : 9 + n, 5 : 5 + n] = sign * bank[..., angle]
-        inputs = [image, bank, np.ones((n, n)), np.array([1e-3])]
-        outputs = [filled((1, 20, 20), dtype), np.full((1, 20, 20), -1, np.int32)]
-        response, best = placed("correlate_templates", [a.astype(dtype) for a in inputs], outputs)
+        inputs = [a.astype(dtype) for a in (image, basis.reshape(n, n, 5), mix)]
+        response, best = evqr_kernels.correlate_templates(*inputs, spans, quiet=0.1)
         place = np.unravel_index(np.abs(response).argmax(), response.shape)
         assert place == (0, 9, 5)
         assert best[place] == angle
-        np.testing.assert_allclose(response[place], sign / np.sqrt(1.001), rtol=1e-5)
+        # the floor: a tenth of n^2 pixels of mean square 1 / n^2
+        np.testing.assert_allclose(response[place], sign / np.sqrt(1.1), rtol=1e-5)
 
 
 def test_quiet_places_do_not_answer(placed, dtype, rng):
     call = cases.correlate_templates(rng, dtype)
-    call.inputs[3][:] = 1e6
+    call.inputs[4] = 1e6
     response, angle = call.run(placed)
     np.testing.assert_array_equal(response, 0)
     np.testing.assert_array_equal(angle, 0)
+
+
+def test_weak_responses_are_left_out(placed, dtype, rng):
+    call = cases.correlate_templates(rng, dtype)
+    call.inputs[4:] = [0.3, 0.0]
+    every, angles = call.run(placed)
+    call.inputs[5] = 0.4
+    strong, kept = call.run(placed)
+    assert 0.05 < np.mean(strong != 0) < 0.8 * np.mean(every != 0)
+    np.testing.assert_array_equal(strong, np.where(np.abs(every) >= 0.4, every, 0))
+    np.testing.assert_array_equal(kept, np.where(np.abs(every) >= 0.4, angles, 0))
+
+
+def test_peaks_are_the_strongest_one_a_place_and_size():
+    maxima = np.array(
+        [
+            [0.5, 10, 10, 4, 0.1],
+            [-0.9, 10, 11, 4, 0.2],  # the other sign is another peak
+            [0.8, 13, 10, 4, 0.3],  # within two sizes of the first: it takes its place
+            [0.7, 13, 10, 8, 0.4],  # of another size
+            [0.0, 50, 50, 4, 0.5],
+            [0.6, 40, 10, 4, 0.6],
+        ]
+    )
+    peaks = evqr_kernels.merge_maxima(maxima[None], apart=2.0, log_ratio=0.3, most=6)[0]
+    np.testing.assert_array_equal(peaks[:4], maxima[[1, 2, 3, 5]])
+    np.testing.assert_array_equal(peaks[4:], 0)
 
 
 def test_inactive_poses_are_left_as_they_are(placed, dtype, rng):
