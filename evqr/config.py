@@ -44,42 +44,57 @@ class MotionConfig:
 
 
 @dataclass(frozen=True, kw_only=True)
+class LookConfig:
+    """How thoroughly finder patterns are searched for.
+
+    Attributes
+    ----------
+    smallest_module_px, largest_module_px   module sizes searched [px]
+    floor         energy under a template, relative to that over cells of rms strength, below which a place is
+                  quiet
+    peaks         places kept, the best over all sizes
+    hypotheses    codes that are tried, the best by response
+    min_score     coarse score that a candidate needs for a closer look
+    """
+
+    smallest_module_px: float = 3.2
+    largest_module_px: float = 22.0
+    floor: float = 0.3
+    peaks: int = 64
+    hypotheses: int = 48
+    min_score: float = -1.0
+
+
+def _quick(smallest_module_px: float, largest_module_px: float) -> LookConfig:
+    return LookConfig(
+        smallest_module_px=smallest_module_px, largest_module_px=largest_module_px, floor=0.8, peaks=24,
+        hypotheses=4, min_score=0.5,
+    )  # fmt: skip
+
+
+@dataclass(frozen=True, kw_only=True)
 class FinderConfig:
     """Search for finder patterns with a bank of matched filters.
 
     Attributes
     ----------
-    smallest_module_px, largest_module_px   module sizes searched [px]
-    scale_ratio          step from one module size to the next
-    cells_a_module       resolution of the search: cells of the reduced image a module
-    half                 half width of a template [cells]
-    quick_module_px      module sizes of the first, quick look [px]
-    quick_peaks          peaks that it keeps
-    quick_score          coarse score that a candidate of the quick look needs for a closer look
-    quick_floor, floor   energy under a template, relative to that over cells of rms strength, below which a
-                         place is quiet: in the quick look and in the thorough one
-    min_response         normalised response of a finder pattern that counts, 0 to 1
-    max_peaks            peaks kept, the best over all scales
-    max_hypotheses       codes that are tried, the best by response
-    first_hypotheses     tried before the others: most often one of them is the code
-    leg_tolerance        |log| of the ratio of the two legs
-    scale_tolerance      |log| of leg length over what version and module size ask for
-    angle_tolerance      between leg and finder pattern, and from a right angle [rad]
+    looks            one after another until a code is found: most are found by the first, at a fifth of the
+                     cost of the last
+    scale_ratio      step from one module size to the next
+    cells_a_module   resolution of the search: cells of the reduced image a module
+    half             half width of a template [cells]
+    min_response     normalised response of a finder pattern that counts, 0 to 1
+    first_hypotheses tried before the others: most often one of them is the code
+    leg_tolerance    |log| of the ratio of the two legs
+    scale_tolerance  |log| of leg length over what version and module size ask for
+    angle_tolerance  between leg and finder pattern, and from a right angle [rad]
     """
 
-    smallest_module_px: float = 3.2
-    largest_module_px: float = 22.0
+    looks: tuple[LookConfig, ...] = (_quick(4.6, 11.0), _quick(3.2, 4.6), LookConfig())
     scale_ratio: float = 1.22
     cells_a_module: float = 1.25
     half: int = 6
-    quick_module_px: tuple[float, float] = (4.6, 11.0)
-    quick_peaks: int = 24
-    quick_score: float = 0.5
-    quick_floor: float = 0.8
-    floor: float = 0.3
     min_response: float = 0.28
-    max_peaks: int = 64
-    max_hypotheses: int = 48
     first_hypotheses: int = 4
     leg_tolerance: float = 0.2
     scale_tolerance: float = 0.16
@@ -97,7 +112,8 @@ class StageOneConfig:
     coarse_levels      blur [modules] and samples a module of the levels before it, for a pose from the search
     samples            samples a module at the last level
     max_iterations     at each level
-    tolerance          step at which a level has converged [modules]
+    tolerance          step at which the last level has converged [modules]
+    coarse_tolerance   step at which the levels before it have [modules]
     damping            Levenberg-Marquardt, relative to the diagonal
     closer_looks       candidates of the coarse look that are refined
     shift_gain         score that a one-module shift must gain to be taken
@@ -110,6 +126,7 @@ class StageOneConfig:
     samples: int = 2
     max_iterations: int = 8
     tolerance: float = 0.01
+    coarse_tolerance: float = 0.05
     damping: float = 1e-3
     closer_looks: int = 3
     shift_gain: float = 0.02

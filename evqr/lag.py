@@ -27,6 +27,9 @@ FIRST_LAGS = (0.0, 0.2, 0.4, 0.7, 1.0, 1.5)
 OFF_OVER_ON = 1.6
 """Ratio of the lags tried first."""
 
+MOST_STEPS = 2
+"""Steps of Gauss-Newton for each pair."""
+
 FACTORS = (0.6, 1.0, 1.6)
 """Factors around the best first pair, for ON and for OFF."""
 
@@ -55,12 +58,14 @@ def estimate_lag(
     direction = velocity / np.hypot(*velocity)
     cells = deposit(window, velocity, region, workspace=workspace)
 
+    # a step or two settle which pair is best; what they leave of the pose the next alignment takes up
     def try_pairs(pairs: list[tuple[float, float]], start: list[NDArray[np.float64]]) -> Alignment:
         images = sharpen(cells, velocity, region, pairs, workspace=workspace)
         idx = np.arange(len(pairs), dtype=np.int32)
         return align(
-            images, np.stack(start), version, fine_levels(cfg), cfg, workspace=workspace, image_idx=idx
-        )
+            images, np.stack(start), version, fine_levels(cfg), cfg, workspace=workspace, image_idx=idx,
+            max_iterations=MOST_STEPS,
+        )  # fmt: skip
 
     module = region.cell * cfg.cells_a_module
     first = [(lag * module, OFF_OVER_ON * lag * module) for lag in FIRST_LAGS]

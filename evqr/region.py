@@ -86,20 +86,28 @@ def events_near(window: Window, velocity: NDArray[np.float64], region: Region) -
 def deposit(window: Window, velocity: NDArray[np.float64], region: Region, *, workspace: Workspace) -> Any:
     """Bring a window's events, transported to its middle, onto a region's cells (1, 2, height, width).
 
-    The buffer is used again by the next deposit on a region of this size.
+    The array is used again by the next deposit on a region of this size.
     """
-    cells = workspace.buffer("deposit", (1, 2, region.height, region.width))
-    workspace.clear(cells)
-    workspace.backend.deposit_events(
-        workspace.put(window.x),
-        workspace.put(window.y),
-        workspace.put(window.t),
-        workspace.put(window.p),
-        workspace.put(np.array([0, len(window)], np.int32)),
-        workspace.put(velocity[None].astype(np.float32)),
-        workspace.put(np.array([[region.x + 0.5, region.y + 0.5, region.cell]], np.float32)),
-        cells,
-    )
+    events = workspace.events(window)
+
+    def make() -> tuple[Any, ...]:
+        ptr, motion = workspace.mirror((2,), np.int32), workspace.mirror((1, 2))
+        frame, cells = workspace.mirror((1, 3)), workspace.empty(1, 2, region.height, region.width)
+
+        def launch() -> None:
+            workspace.backend.clear(cells)
+            workspace.backend.deposit_events(
+                events.x, events.y, events.t, events.p, ptr.device, motion.device, frame.device, cells
+            )
+
+        return ptr, motion, frame, cells, workspace.backend.record(launch)
+
+    key = ("deposit", region.height, region.width, events.capacity)
+    ptr, motion, frame, cells, run = workspace.once(key, make)
+    ptr.write((0, len(window)))
+    motion.write(velocity)
+    frame.write((region.x + 0.5, region.y + 0.5, region.cell))
+    run()
     return cells
 
 
@@ -111,19 +119,29 @@ def sharpen(
     *,
     workspace: Workspace,
 ) -> Any:
-    """Blur a deposit and undo the pixels' lag, for each pair of lags (ON, OFF) [px]: (N, height, width)."""
+    """Blur a deposit and undo the pixels' lag, for each pair of lags (ON, OFF) [px]: (N, height, width).
+
+    The array is used again by the next call for this deposit and number of lags.
+    """
     count = len(lags_px)
-    direction = velocity / max(float(np.hypot(*velocity)), 1e-9)
-    images = workspace.buffer("sharp", (count, region.height, region.width))
-    workspace.backend.lag_operator(
-        cells,
-        workspace.table(("first deposit", count), np.zeros(count, np.int32)),
-        workspace.put(np.tile(direction.astype(np.float32), (count, 1))),
-        workspace.put(np.array(lags_px, np.float32) / np.float32(region.cell)),
-        workspace.table(("blur taps",), blur_taps(BLUR_CELLS)),
-        workspace.buffer("sharp rows", (count, 2, region.height, region.width)),
-        images,
-    )
+
+    def make() -> tuple[Any, ...]:
+        direction, lag = workspace.mirror((count, 2)), workspace.mirror((count, 2))
+        rows = workspace.empty(count, 2, region.height, region.width)
+        images = workspace.empty(count, region.height, region.width)
+        first = workspace.put(np.zeros(count, np.int32))
+        taps = workspace.put(blur_taps(BLUR_CELLS))
+        run = workspace.backend.record(
+            lambda: workspace.backend.lag_operator(
+                cells, first, direction.device, lag.device, taps, rows, images
+            )
+        )
+        return direction, lag, images, run
+
+    direction, lag, images, run = workspace.once(("sharpen", id(cells), count), make)
+    direction.write(velocity / max(math.hypot(*velocity), 1e-9))
+    lag.write(np.divide(lags_px, region.cell))
+    run()
     return images
 
 

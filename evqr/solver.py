@@ -7,6 +7,7 @@ A `Solver` owns the buffers of one thread; two threads need two solvers.
 
 from __future__ import annotations
 
+import math
 import time
 from collections.abc import Iterator
 from contextlib import contextmanager
@@ -17,7 +18,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from evqr.codespace import size_of
-from evqr.config import ReadConfig
+from evqr.config import LookConfig, ReadConfig
 from evqr.initial.finder import find_hypotheses, find_peaks
 from evqr.initial.motion import Motion, estimate_motion, find_motion, window_length_us
 from evqr.initial.pose import Candidate, screen
@@ -39,12 +40,9 @@ SHARP_SCORE = 0.96
 SURE_TRAVEL_PX = 0.6
 """Travel in a window below which the direction of the motion is not sure [px]."""
 
-SURE_LOOKS = ((0.0, True), (0.0, False))
-"""Looks for a code one after another until one is found: turn of the direction [rad], and whether the look
-is quick."""
-
-UNSURE_LOOKS = tuple((turn, False) for turn in np.deg2rad((0.0, 45.0, -45.0, 90.0)))
-"""Looks where the direction is not sure; the opposite directions look like an inverted code."""
+UNSURE_TURNS = (0.0, 0.25 * math.pi, -0.25 * math.pi, 0.5 * math.pi)
+"""Directions tried where it is not sure, against the estimate [rad]; the opposite ones look like an inverted
+code."""
 
 SEARCH_MARGIN_PX = 4.0
 """How far the pose from the search may be off, for the size of the region [px]."""
@@ -201,8 +199,10 @@ class Solver:
             return "nothing moves"
         sure = motion.speed * window.seconds >= SURE_TRAVEL_PX
         best: Sighting | str = ""
-        for turn, quick in SURE_LOOKS if sure else UNSURE_LOOKS:
-            found = self._look_along(window, _turned(motion.velocity, turn), lag_us, quick=quick)
+        looks = self.config.finder.looks
+        tries = [(0.0, look) for look in looks] if sure else [(turn, looks[-1]) for turn in UNSURE_TURNS]
+        for turn, look in tries:
+            found = self._look_along(window, _turned(motion.velocity, turn), lag_us, look)
             if isinstance(best, str) or (isinstance(found, Sighting) and found.score > best.score):
                 best = found
             if isinstance(best, Sighting) and best.score >= GOOD_SCORE:
@@ -214,25 +214,23 @@ class Solver:
         window: Window,
         velocity: NDArray[np.float64],
         lag_us: tuple[float, float] | None,
-        *,
-        quick: bool,
+        look: LookConfig,
     ) -> Sighting | str:
         """Find a code that moves with a velocity."""
         cfg, clock, workspace = self.config, self.clock, self.workspace
         with clock("finder"):
-            peaks, pyramid = find_peaks(window, velocity, cfg.finder, workspace=workspace, quick=quick)
-            hypotheses = find_hypotheses(peaks, cfg.finder)
+            peaks, pyramid = find_peaks(window, velocity, cfg.finder, workspace=workspace, look=look)
+            hypotheses = find_hypotheses(peaks, cfg.finder, workspace=workspace, most=look.hypotheses)
         if not hypotheses:
             return f"no three finder patterns that fit together among {len(peaks.response)} candidates"
-        first = cfg.finder.first_hypotheses
         best: Sighting | None = None
         closest = 0.0
         iterations = 0
-        for batch in filter(None, (hypotheses[:first], [] if quick else hypotheses[first:])):
+        first = cfg.finder.first_hypotheses
+        for batch in filter(None, (hypotheses[:first], hypotheses[first : look.hypotheses])):
             with clock("pose"):
                 candidates, steps = screen(batch, pyramid, cfg.stage_one, workspace=workspace)
-            if quick:
-                candidates = [c for c in candidates if c.score >= cfg.finder.quick_score]
+            candidates = [c for c in candidates if c.score >= look.min_score]
             if not candidates:
                 continue
             with clock("stage_one"):

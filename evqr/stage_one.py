@@ -28,21 +28,33 @@ RIDGE = 1e-3
 
 @dataclass(frozen=True, kw_only=True)
 class Level:
-    """One step from coarse to fine: blur [modules], samples a module, and whether perspective is free."""
+    """One step from coarse to fine.
+
+    Attributes
+    ----------
+    sigma       blur of the model [modules]
+    samples     a module
+    tilt        whether perspective is free
+    tolerance   step at which it has converged [modules]
+    """
 
     sigma: float
     samples: int
     tilt: bool
+    tolerance: float
 
 
 def coarse_levels(cfg: StageOneConfig) -> tuple[Level, ...]:
     """Give the levels that a pose from the search goes through before the last."""
-    return tuple(Level(sigma=sigma, samples=samples, tilt=False) for sigma, samples in cfg.coarse_levels)
+    return tuple(
+        Level(sigma=sigma, samples=samples, tilt=False, tolerance=cfg.coarse_tolerance)
+        for sigma, samples in cfg.coarse_levels
+    )
 
 
 def fine_levels(cfg: StageOneConfig) -> tuple[Level, ...]:
     """Give the levels for a pose that is known to a fraction of a module."""
-    return (Level(sigma=cfg.sigma, samples=cfg.samples, tilt=True),)
+    return (Level(sigma=cfg.sigma, samples=cfg.samples, tilt=True, tolerance=cfg.tolerance),)
 
 
 @dataclass(frozen=True, eq=False)
@@ -104,35 +116,52 @@ def align(
     max_iterations                at each level, default the configured; 0 scores the poses as they are
     """
     n = len(pose)
-    idx = np.zeros(n, np.int32) if image_idx is None else image_idx
     most = cfg.max_iterations if max_iterations is None else max_iterations
-    at = workspace.put(pose.reshape(n, 9).astype(np.float32))
-    idx = workspace.put(idx)
-    result = workspace.buffer("alignment", (n, 5))
-    iterations = 0
-    for level in levels:
-        table = pose_table(version, level.sigma, level.samples)
-        terms, factors = _terms(level.tilt)
-        key = (version, level.sigma, level.samples)
-        settings = np.array([table.centre, table.scale, RIDGE, cfg.damping, cfg.tolerance], np.float32)
-        workspace.backend.align_poses(
-            image,
-            idx,
-            workspace.table((*key, "points"), table.points),
-            workspace.table((*key, "table"), table.table),
-            workspace.table((*key, "gram"), table.gram.astype(np.float32)),
-            workspace.table(("terms", level.tilt), terms),
-            workspace.table(("factors", level.tilt), factors),
-            workspace.table(("settings", version, cfg), settings),
-            most,
-            at,
-            result,
-        )
-        workspace.backend.synchronize(workspace.device)
-        iterations += int(workspace.get(result)[:, 4].max())
-    values = workspace.get(result).astype(np.float64)
-    poses = workspace.get(at).astype(np.float64).reshape(n, 3, 3)
-    return Alignment(poses, values[:, :2], values[:, 2], values[:, 3], iterations)
+
+    def make() -> tuple[Any, ...]:
+        idx, at = workspace.mirror((n,), np.int32), workspace.mirror((n, 9))
+        results = [workspace.mirror((n, 5)) for _ in levels]
+        tables = [_tables(version, level, cfg, workspace) for level in levels]
+
+        def launch() -> None:
+            for level_tables, result in zip(tables, results, strict=True):
+                workspace.backend.align_poses(
+                    image, idx.device, *level_tables, most, at.device, result.device
+                )
+
+        return idx, at, results, workspace.backend.record(launch)
+
+    key = ("align", id(image), version, levels, n, most, cfg)
+    idx, at, results, run = workspace.once(key, make)
+    idx.write(0 if image_idx is None else image_idx)
+    at.write(pose.reshape(n, 9))
+    run()
+    values = [result.read().astype(np.float64) for result in results]
+    return Alignment(
+        at.read().astype(np.float64).reshape(n, 3, 3),
+        values[-1][:, :2],
+        values[-1][:, 2],
+        values[-1][:, 3],
+        sum(int(value[:, 4].max()) for value in values),
+    )
+
+
+_Tables = tuple[Any, Any, Any, Any, Any, Any]
+
+
+def _tables(version: int, level: Level, cfg: StageOneConfig, workspace: Workspace) -> _Tables:
+    """Give what `align_poses` takes of a level: points, table, gram, terms, factors, settings."""
+    table = pose_table(version, level.sigma, level.samples)
+    terms, factors = _terms(level.tilt)
+    settings = (table.centre, table.scale, RIDGE, cfg.damping, level.tolerance)
+    return (
+        workspace.table(("points", version, level), table.points),
+        workspace.table(("table", version, level), table.table),
+        workspace.table(("gram", version, level), table.gram.astype(np.float32)),
+        workspace.table(("terms", level.tilt), terms),
+        workspace.table(("factors", level.tilt), factors),
+        workspace.put(np.array(settings, np.float32)),
+    )
 
 
 def shifted(pose: NDArray[np.float64]) -> NDArray[np.float64]:

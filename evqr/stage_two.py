@@ -96,27 +96,39 @@ def normal_equations(
     sigma               blur of the model [modules]
     """
     b, slope, bb, ss, bs = _profile_tables(sigma, cfg.samples)
-    axis = lattice(size_of(version), cfg.samples)
-    count, modules = len(axis), len(axis) // cfg.samples
-    rhs = workspace.buffer("code rhs", (1, modules, modules))
-    workspace.backend.code_rhs(
-        image,
-        workspace.put(pose.reshape(1, 9).astype(np.float32)),
-        workspace.table(("lattice", version, cfg.samples), axis.astype(np.float32)),
-        workspace.table(("profile", sigma, cfg.samples), b.astype(np.float32)),
-        workspace.table(("slope", sigma, cfg.samples), slope.astype(np.float32)),
-        workspace.put(gain.reshape(1, 2).astype(np.float32)),
-        cfg.samples,
-        workspace.buffer("code samples", (1, count, count)),
-        workspace.buffer("code rows", (1, 2, count, modules)),
-        rhs,
-    )
+
+    def make() -> tuple[Any, ...]:
+        axis = lattice(size_of(version), cfg.samples)
+        count, modules = len(axis), len(axis) // cfg.samples
+        at, gains = workspace.mirror((1, 9)), workspace.mirror((1, 2))
+        rhs = workspace.mirror((1, modules, modules))
+        points, profile, profile_slope = (workspace.put(f.astype(np.float32)) for f in (axis, b, slope))
+        samples, rows = workspace.empty(1, count, count), workspace.empty(1, 2, count, modules)
+        run = workspace.backend.record(
+            lambda: workspace.backend.code_rhs(
+                image,
+                at.device,
+                points,
+                profile,
+                profile_slope,
+                gains.device,
+                cfg.samples,
+                samples,
+                rows,
+                rhs.device,
+            )
+        )
+        return at, gains, rhs, run
+
+    at, gains, rhs, run = workspace.once(("code rhs", id(image), version, sigma, cfg.samples), make)
+    at.write(pose.reshape(1, 9))
+    gains.write(gain)
+    run()
     a_u, a_v = gain
     sb = bs[::-1]
     stencil = a_u * a_u * np.outer(bb, ss) + a_v * a_v * np.outer(ss, bb)
     stencil += a_u * a_v * (np.outer(bs, sb) + np.outer(sb, bs))
-    workspace.backend.synchronize(workspace.device)
-    return NormalEquations(version, stencil, workspace.get(rhs)[0].astype(np.float64))
+    return NormalEquations(version, stencil, rhs.read()[0].astype(np.float64))
 
 
 @functools.cache
@@ -135,30 +147,32 @@ def _fixed(version: int) -> tuple[NDArray[np.int32], NDArray[np.float32]]:
 def solve_modules(equations: NormalEquations, cfg: StageTwoConfig, *, workspace: Workspace) -> CodeEstimate:
     """Solve for the unknown modules, with function patterns and quiet zone fixed."""
     version = equations.version
-    free, start = _fixed(version)
-    modules = len(free)
+
+    def make() -> tuple[Any, ...]:
+        free, start = _fixed(version)
+        modules = len(free)
+        rhs, q = (workspace.mirror((1, modules, modules)) for _ in range(2))
+        stencil, damping = workspace.mirror((1, *equations.stencil.shape)), workspace.mirror((1,))
+        damping.write(cfg.damping)
+        fixed = workspace.put(free)
+        field = [workspace.empty(1, modules, modules) for _ in range(4)]
+        rows = [workspace.empty(1, 4, modules) for _ in range(2)]
+        iterations = workspace.mirror((1,), np.int32)
+        run = workspace.backend.record(
+            lambda: workspace.backend.solve_code(
+                rhs.device, stencil.device, damping.device, fixed, q.device, (*field, *rows),
+                iterations.device, max_iterations=cfg.max_iterations, tolerance=cfg.tolerance,
+            )
+        )  # fmt: skip
+        return start, rhs, stencil, q, iterations, run
+
+    start, rhs, stencil, q, iterations, run = workspace.once(("code", version, cfg), make)
     # one overall scale: float32 on the device, and many windows add up
     peak = float(equations.stencil[REACH, REACH]) or 1.0
-    damping = cfg.damping
-    q = workspace.buffer("code q", (1, modules, modules))
-    workspace.get(q)[0] = start
-    field = [workspace.buffer(f"code cg {k}", (1, modules, modules)) for k in range(4)]
-    rows = [workspace.buffer(f"code cg rows {k}", (1, 4, modules)) for k in range(2)]
-    iterations = workspace.buffer("code iterations", (1,), np.int32)
-    workspace.backend.solve_code(
-        # the damping pulls q to 0, not q - 1: that moves the right-hand side
-        workspace.put((equations.rhs / peak + damping)[None].astype(np.float32)),
-        workspace.put((equations.stencil / peak)[None].astype(np.float32)),
-        workspace.put(np.array([damping], np.float32)),
-        workspace.table(("free", version), free),
-        q,
-        (*field, *rows),
-        iterations,
-        max_iterations=cfg.max_iterations,
-        tolerance=cfg.tolerance,
-    )
-    workspace.backend.synchronize(workspace.device)
-    inner = slice(QUIET_MODULES, modules - QUIET_MODULES)
-    return CodeEstimate(
-        workspace.get(q)[0, inner, inner] + np.float32(1.0), int(workspace.get(iterations)[0])
-    )
+    q.write(start)
+    # the damping pulls q to 0, not q - 1: that moves the right-hand side
+    rhs.write(equations.rhs / peak + cfg.damping)
+    stencil.write(equations.stencil / peak)
+    run()
+    inner = slice(QUIET_MODULES, -QUIET_MODULES)
+    return CodeEstimate(q.read()[0, inner, inner] + np.float32(1.0), int(iterations.read()[0]))

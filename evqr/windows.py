@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import threading
 from collections.abc import Iterator
-from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 from numpy.typing import NDArray
@@ -12,30 +12,34 @@ from numpy.typing import NDArray
 from evqr.types import EventArray
 
 
-@dataclass(frozen=True, eq=False)
 class Window:
-    """Events of one window, as kernels take them.
+    """Events of one window, with times relative to its middle.
+
+    The middle is the reference: an error of the motion then blurs the window, but does not move the code.
 
     Attributes
     ----------
-    x, y : (E,) float32 [px]
-    t : (E,) float32 [s]      relative to the middle of the window, ascending
-    p : (E,) float32          -1 or +1
-    start_us, end_us          bounds, the end not included [us]
-    width, height             sensor size [px]
+    events             as recorded, in order of time
+    start_us, end_us   bounds, the end not included [us]
     """
 
-    x: NDArray[np.float32]
-    y: NDArray[np.float32]
-    t: NDArray[np.float32]
-    p: NDArray[np.float32]
-    start_us: int
-    end_us: int
-    width: int
-    height: int
+    def __init__(self, events: EventArray, start_us: int, end_us: int) -> None:
+        self.events = events
+        self.start_us = start_us
+        self.end_us = end_us
 
     def __len__(self) -> int:
-        return len(self.t)
+        return len(self.events)
+
+    @property
+    def width(self) -> int:
+        """Of the sensor [px]."""
+        return self.events.width
+
+    @property
+    def height(self) -> int:
+        """Of the sensor [px]."""
+        return self.events.height
 
     @property
     def seconds(self) -> float:
@@ -47,33 +51,45 @@ class Window:
         """Reference time of the window: its middle [us]."""
         return 0.5 * (self.start_us + self.end_us)
 
+    @cached_property
+    def x(self) -> NDArray[np.float32]:
+        """Columns (E,) [px]."""
+        return self.events.x.astype(np.float32)
+
+    @cached_property
+    def y(self) -> NDArray[np.float32]:
+        """Rows (E,) [px]."""
+        return self.events.y.astype(np.float32)
+
+    @cached_property
+    def t(self) -> NDArray[np.float32]:
+        """Times (E,), ascending [s]."""
+        seconds = np.empty(len(self), np.float32)
+        self.write_times(seconds)
+        return seconds
+
+    @cached_property
+    def p(self) -> NDArray[np.float32]:
+        """Polarities (E,), -1 or +1."""
+        return self.events.p.astype(np.float32)
+
+    def write_times(self, out: NDArray[np.float32]) -> None:
+        """Write `t` to an array of the caller's."""
+        # start first: stamps may be as large as int64 allows
+        np.subtract(self.events.t, self.start_us, out=out, casting="unsafe")
+        out -= np.float32(0.5 * (self.end_us - self.start_us))
+        out *= np.float32(1e-6)
+
     def keep(self, mask: NDArray[np.bool_]) -> Window:
         """Give the window with only the events where ``mask``."""
-        return Window(
-            self.x[mask], self.y[mask], self.t[mask], self.p[mask],
-            self.start_us, self.end_us, self.width, self.height,
-        )  # fmt: skip
+        e = self.events
+        kept = EventArray(e.t[mask], e.x[mask], e.y[mask], e.p[mask], e.width, e.height)
+        return Window(kept, self.start_us, self.end_us)
 
 
 def make_window(events: EventArray, start_us: int, end_us: int) -> Window:
-    """Cut a window out of events in order of time.
-
-    The middle is the reference: an error of the motion then blurs the window, but does not move the code.
-    """
-    part = events.between(start_us, end_us)
-    # start first: stamps may be as large as int64 allows
-    relative = (2 * (part.t - start_us) - (end_us - start_us)).astype(np.float32)
-    relative *= np.float32(0.5e-6)
-    return Window(
-        part.x.astype(np.float32),
-        part.y.astype(np.float32),
-        relative,
-        part.p.astype(np.float32),
-        start_us,
-        end_us,
-        events.width,
-        events.height,
-    )
+    """Cut a window out of events in order of time."""
+    return Window(events.between(start_us, end_us), start_us, end_us)
 
 
 class EventBuffer:

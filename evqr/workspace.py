@@ -1,56 +1,128 @@
-"""Buffers that are made once and used for every window."""
+"""Device arrays that are made once and used for every window, with the launches that work on them."""
 
 from __future__ import annotations
 
+from collections import OrderedDict
 from collections.abc import Callable
 from typing import TYPE_CHECKING, Any, TypeVar
 
 import numpy as np
-from numpy.typing import DTypeLike, NDArray
+from numpy.typing import ArrayLike, DTypeLike, NDArray
 
 if TYPE_CHECKING:
+    from evqr.windows import Window
     from evqr_kernels.backend import KernelBackend
 
 
 T = TypeVar("T")
 
+MOST_KEPT = 384
+"""Things kept at once; those that were not used for longest go first.  Codes differ in size from recording to
+recording, and each size of region has its own."""
+
+FEWEST_EVENTS = 1 << 14
+"""Room for events grows from this in powers of two, so that launches recorded for it are used again."""
+
+
+class Mirror:
+    """A device array and its copy on the host: the same memory where the device is the CPU."""
+
+    def __init__(self, backend: KernelBackend, shape: tuple[int, ...], dtype: DTypeLike, device: str) -> None:
+        self.host: NDArray[Any] = np.zeros(shape, dtype)
+        self.device = backend.from_host(self.host, device)
+        self._backend = backend
+        self._shared = np.shares_memory(self.host, backend.to_host(self.device))
+
+    def write(self, values: ArrayLike) -> None:
+        """Set the array."""
+        self.host[...] = values
+        self.push()
+
+    def push(self) -> None:
+        """Bring to the device what was written to the host's copy."""
+        if not self._shared:
+            self._backend.assign(self.device, self.host)
+
+    def read(self) -> NDArray[Any]:
+        """Wait for the device and give the host's copy, which later reads overwrite."""
+        if not self._shared:
+            self.host[...] = self._backend.to_host(self.device)
+        return self.host
+
+
+class EventSlots:
+    """Room for the events of one window."""
+
+    def __init__(self, workspace: Workspace, capacity: int) -> None:
+        self.capacity = capacity
+        self._mirrors = [workspace.mirror((capacity,)) for _ in range(4)]
+        self.x, self.y, self.t, self.p = (mirror.device for mirror in self._mirrors)
+        self._window: Window | None = None
+
+    @property
+    def times(self) -> NDArray[np.float32]:
+        """Times on the host, and behind those of the window what is left of earlier ones [s]."""
+        return self._mirrors[2].host
+
+    def load(self, window: Window) -> None:
+        """Put the events of a window there, unless they are there already."""
+        if window is self._window:
+            return
+        count = len(window)
+        x, y, t, p = (mirror.host[:count] for mirror in self._mirrors)
+        x[:], y[:], p[:] = window.events.x, window.events.y, window.events.p
+        window.write_times(t)
+        for mirror in self._mirrors:
+            mirror.push()
+        self._window = window
+
 
 class Workspace:
-    """Device buffers of one thread, by name and shape."""
+    """Device arrays and recorded launches of one thread, each made when it is first asked for."""
 
     def __init__(self, backend: KernelBackend, device: str) -> None:
         self.backend = backend
         self.device = device
-        self._buffers: dict[tuple[Any, ...], Any] = {}
-        self._tables: dict[tuple[Any, ...], Any] = {}
+        self._kept: OrderedDict[Any, Any] = OrderedDict()
+
+    def once(self, key: Any, make: Callable[[], T]) -> T:
+        """Give whatever ``make`` gives, made when it is first asked for."""
+        try:
+            self._kept.move_to_end(key)
+        except KeyError:
+            self._kept[key] = make()
+            if len(self._kept) > MOST_KEPT:
+                self._kept.popitem(last=False)
+        return self._kept[key]
+
+    def empty(self, *shape: int, dtype: DTypeLike = np.float32) -> Any:
+        """Make a device array with undefined contents."""
+        return self.backend.empty(shape, dtype, self.device)
 
     def buffer(self, name: str, shape: tuple[int, ...], dtype: DTypeLike = np.float32) -> Any:
-        """Give a buffer with undefined contents, the same one each time."""
-        key = (name, shape, np.dtype(dtype))
-        if key not in self._buffers:
-            if len(self._buffers) > 512:
-                self._buffers.clear()
-            self._buffers[key] = self.backend.empty(shape, dtype, self.device)
-        return self._buffers[key]
+        """Give a device array of a name and shape, the same one each time."""
+        key = ("buffer", name, shape, np.dtype(dtype))
+        return self.once(key, lambda: self.empty(*shape, dtype=dtype))
+
+    def mirror(self, shape: tuple[int, ...], dtype: DTypeLike = np.float32) -> Mirror:
+        """Make a device array that the host writes or reads, of zeros."""
+        return Mirror(self.backend, shape, dtype, self.device)
 
     def table(self, key: tuple[Any, ...], array: NDArray[Any]) -> Any:
         """Give a constant table on the device, copied there when it is first asked for."""
-        return self.once(key, lambda: self.backend.from_host(array, self.device))
+        return self.once(key, lambda: self.put(array))
 
-    def once(self, key: tuple[Any, ...], make: Callable[[], T]) -> T:
-        """Give whatever ``make`` gives, made when it is first asked for."""
-        if key not in self._tables:
-            self._tables[key] = make()
-        return self._tables[key]
+    def events(self, window: Window) -> EventSlots:
+        """Give the events of a window on the device, until the next window of that size class."""
+        capacity = max(FEWEST_EVENTS, 1 << (len(window) - 1).bit_length())
+        slots = self.once(("events", capacity), lambda: EventSlots(self, capacity))
+        slots.load(window)
+        return slots
 
     def put(self, array: NDArray[Any]) -> Any:
-        """Put an array of this window on the device."""
+        """Put an array on the device."""
         return self.backend.from_host(array, self.device)
 
     def get(self, array: Any) -> NDArray[Any]:
         """Give a device array on the host."""
         return self.backend.to_host(array)
-
-    def clear(self, array: Any) -> None:
-        """Fill a device array with zeros."""
-        self.backend.clear(array)

@@ -17,12 +17,16 @@ from evqr_kernels.ops import (
     bin_events,
     brightness_residual,
     brightness_residual_adjoint,
+    clip_outliers,
     code_rhs,
     correlate_templates,
     deposit_events,
     deposit_events_adjoint,
     lag_operator,
     lag_operator_adjoint,
+    local_maxima,
+    match_corners,
+    merge_maxima,
     motion_correlation,
     reduce_image,
     render_affine,
@@ -32,6 +36,7 @@ from evqr_kernels.ops import (
     solve_code,
     splat_events,
     splat_events_adjoint,
+    surface_peak,
 )
 
 __all__ = [
@@ -44,6 +49,7 @@ __all__ = [
     "bin_events",
     "brightness_residual",
     "brightness_residual_adjoint",
+    "clip_outliers",
     "code_rhs",
     "correlate_templates",
     "deposit_events",
@@ -51,6 +57,9 @@ __all__ = [
     "get_backend",
     "lag_operator",
     "lag_operator_adjoint",
+    "local_maxima",
+    "match_corners",
+    "merge_maxima",
     "motion_correlation",
     "reduce_image",
     "register_backend",
@@ -61,4 +70,5 @@ __all__ = [
     "solve_code",
     "splat_events",
     "splat_events_adjoint",
+    "surface_peak",
 ]

@@ -9,6 +9,7 @@ from __future__ import annotations
 import importlib
 import logging
 import threading
+from collections.abc import Callable
 from typing import Any, Protocol
 
 from numpy.typing import DTypeLike, NDArray
@@ -51,8 +52,20 @@ class KernelBackend(Protocol):
         """Bring an array back; on the CPU it is the same memory.  Waits for the device."""
         ...
 
+    def assign(self, array: Array, values: NDArray[Any]) -> None:
+        """Copy a NumPy array of the same shape and dtype into an array."""
+        ...
+
     def clear(self, array: Array) -> None:
         """Fill an array with zeros."""
+        ...
+
+    def record(self, run: Callable[[], None]) -> Callable[[], None]:
+        """Note down what ``run``, made of this backend's operations and `clear`, launches, launching nothing.
+
+        The result launches it all on the same arrays, as often as it is called, with little to do between
+        launches.  Several threads may record and replay at once.
+        """
         ...
 
     def synchronize(self, device: str) -> None:
@@ -74,7 +87,10 @@ class KernelBackend(Protocol):
     def bin_events(
         self, x: Array, y: Array, weight: Array, window_ptr: Array, reduction: float, image_out: Array
     ) -> None:
-        """Count events into pixels of ``reduction`` px; accumulates."""
+        """Count events into pixels of ``reduction`` px; accumulates.
+
+        The last entry of ``window_ptr`` may be less than E: what is behind it belongs to no window.
+        """
         ...
 
     def splat_events(
@@ -96,7 +112,10 @@ class KernelBackend(Protocol):
         self, x: Array, y: Array, t: Array, weight: Array, window_ptr: Array, motion: Array, frame: Array,
         deposit_out: Array,
     ) -> None:  # fmt: skip
-        """Share transported events among four cells each, ON and OFF apart (B, 2, Y, X); accumulates."""
+        """Share transported events among four cells each, ON and OFF apart (B, 2, Y, X); accumulates.
+
+        The last entry of ``window_ptr`` may be less than E, as with `bin_events`.
+        """
         ...
 
     def deposit_events_adjoint(
@@ -121,9 +140,26 @@ class KernelBackend(Protocol):
         ...
 
     def motion_correlation(
-        self, first: Array, second: Array, radius: int, rows_out: Array, correlation_out: Array
+        self, images_inout: Array, clip: float, radius: int, found_out: Array, rows_out: Array,
+        energy_rows_out: Array, correlation_out: Array, energy_out: Array,
+    ) -> None:  # fmt: skip
+        """Correlate pairs of images (B, 2, Y, X) over shifts, clipping them in place.
+
+        ``found_out``, int32, is (B, Y, X), ``rows_out`` (B, Y, 2 R + 1, W) with W the next multiple of 16 of
+        2 R + 1, ``energy_rows_out`` (B, Y, 2).
+        """
+        ...
+
+    def surface_peak(
+        self, surface: Array, smoother: Array, rows_out: Array, smooth_out: Array, peak_out: Array
     ) -> None:
-        """Correlate two images over shifts; ``rows_out`` is (B, Y, 2 R + 1, W), fastest with W = 16 k."""
+        """Find the highest point of blurred surfaces; ``rows_out`` and ``smooth_out`` are as the surface."""
+        ...
+
+    def clip_outliers(
+        self, image: Array, factor: float, rows_out: Array, limit_out: Array, image_out: Array
+    ) -> None:
+        """Clip at a multiple of the mean magnitude; ``rows_out`` is (B, Y, 2), ``limit_out`` (B,)."""
         ...
 
     def reduce_image(self, image: Array, ratio: float, rows_out: Array, image_out: Array) -> None:
@@ -131,9 +167,35 @@ class KernelBackend(Protocol):
         ...
 
     def correlate_templates(
-        self, image: Array, bank: Array, disc: Array, floor: Array, response_out: Array, angle_out: Array
+        self, image: Array, basis: Array, mix: Array, spans: Array, quiet: float, least: float,
+        squares_out: Array, counts_out: Array, floor_out: Array, sums_out: Array, response_out: Array,
+        angle_out: Array,
+    ) -> None:  # fmt: skip
+        """Correlate with n x n templates; image = response + n - 1, response at least 4 wide.
+
+        ``squares_out`` is as the image and one wider, ``counts_out`` (B, rows of the image), ``floor_out``
+        (B,), ``sums_out`` (B, 6, rows and columns of the response).
+        """
+        ...
+
+    def local_maxima(
+        self, response: Array, angle: Array, least: float, cell: float, size: float, turn: float,
+        maxima_out: Array,
+    ) -> None:  # fmt: skip
+        """Find the local maxima of one level; ``maxima_out`` is (B, Y, most of a row, 5)."""
+        ...
+
+    def merge_maxima(
+        self, maxima: Array, apart: float, log_ratio: float, strength_out: Array, index_out: Array,
+        peaks_out: Array,
+    ) -> None:  # fmt: skip
+        """Keep the best of N maxima (B, N, 5); ``strength_out`` and ``index_out``, int32, are (B, N)."""
+        ...
+
+    def match_corners(
+        self, peaks: Array, tolerances: Array, ends_out: Array, legs_out: Array, triples_out: Array
     ) -> None:
-        """Correlate with a bank of n x n templates; image = response + n - 1, response at least 4 wide."""
+        """Triples of P peaks; ``ends_out``, int32, is (B, P, P), ``legs_out`` (B, P, P, 3)."""
         ...
 
     def sample_moments(
@@ -205,8 +267,13 @@ OPS = (
     "lag_operator",
     "lag_operator_adjoint",
     "motion_correlation",
+    "surface_peak",
+    "clip_outliers",
     "reduce_image",
     "correlate_templates",
+    "local_maxima",
+    "merge_maxima",
+    "match_corners",
     "sample_moments",
     "sample_moments_adjoint",
     "align_poses",

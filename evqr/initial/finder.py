@@ -11,24 +11,36 @@ from __future__ import annotations
 import functools
 import math
 from dataclasses import dataclass
+from functools import cached_property
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from evqr.codespace import MAX_VERSION, MIN_VERSION
-from evqr.config import FinderConfig
+from evqr.config import FinderConfig, LookConfig
 from evqr.model import profiles
-from evqr.region import Region, deposit, sharpen
+from evqr.region import BLUR_CELLS, blur_taps
 from evqr.windows import Window
-from evqr.workspace import Workspace
+from evqr.workspace import EventSlots, Workspace
 
 ANGLES = 8
+"""Templates, over a right angle: a finder pattern looks alike turned by one."""
+
+TERMS = 5
+"""Templates that the others are mixed from, to 0.4 %."""
+
 FEWEST_CELLS = 24
 """Width of the smallest level [cells]: kernels take blocks of them."""
 
-CLIP_RMS = 2.5
-"""Cells are clipped at so many times the rms of the cells that have events: a hot pixel is no edge."""
+CLIP = 3.0
+"""Cells are clipped at so many times the mean strength of those that have events: a hot pixel is no edge."""
+
+MOST_A_ROW = 8
+"""Peaks kept of one row of a level."""
+
+MOST_OF_A_CORNER = 8
+"""Triples kept that have one corner."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -62,11 +74,16 @@ class PyramidLevel:
     cell: float
     image: Any
 
-    @property
+    @cached_property
     def from_px(self) -> NDArray[np.float64]:
         """(3, 3) map of px to cells, integers at cell centres."""
         s, shift = 1.0 / self.cell, 0.5 / self.cell - 0.5
         return np.array([[s, 0.0, shift], [0.0, s, shift], [0.0, 0.0, 1.0]])
+
+    @cached_property
+    def to_px(self) -> NDArray[np.float64]:
+        """(3, 3) map of cells to px."""
+        return np.linalg.inv(self.from_px).astype(np.float64)
 
 
 @dataclass(frozen=True, eq=False)
@@ -110,13 +127,25 @@ def _template_gradients(cells_a_module: float, half: int) -> tuple[NDArray[np.fl
     return gradients, disc
 
 
-def _bank(
-    direction: NDArray[np.float64], cfg: FinderConfig
-) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
-    gradients, disc = _template_gradients(cfg.cells_a_module, cfg.half)
-    bank = -(direction[0] * gradients[0] + direction[1] * gradients[1])
+@functools.cache
+def _spans(cfg: FinderConfig) -> NDArray[np.int32]:
+    """First column of the disc in each row of a template, and the one behind its last, (n, 2)."""
+    _, disc = _template_gradients(cfg.cells_a_module, cfg.half)
+    return np.array([(row.argmax(), len(row) - row[::-1].argmax()) for row in disc > 0.0], np.int32)
+
+
+@functools.lru_cache(maxsize=360)
+def _bank(degrees: int, cfg: FinderConfig) -> tuple[NDArray[np.float64], ...]:
+    """Give the templates for a direction of motion as a basis (n, n, TERMS) and a mixture (ANGLES, TERMS)."""
+    gradients, _ = _template_gradients(cfg.cells_a_module, cfg.half)
+    along = np.deg2rad(degrees)
+    bank = -(np.cos(along) * gradients[0] + np.sin(along) * gradients[1])
     bank /= np.sqrt(np.square(bank).sum(axis=(0, 1)))
-    return np.ascontiguousarray(bank, dtype=np.float32), disc.astype(np.float32)
+    # the space that the templates span, from their correlations with each other
+    flat = bank.reshape(-1, ANGLES)
+    strengths, mixtures = np.linalg.eigh(flat.T @ flat)
+    mix, length = mixtures[:, -TERMS:], np.sqrt(strengths[-TERMS:])
+    return (flat @ (mix / length)).reshape(*bank.shape[:2], TERMS), mix * length
 
 
 def _module_sizes(smallest: float, largest: float, ratio: float) -> list[float]:
@@ -128,207 +157,202 @@ def _four(count: int) -> int:
     return -(-count // 4) * 4
 
 
+class _Search:
+    """The search in windows of one size of image: its levels, and what runs over them."""
+
+    def __init__(
+        self, events: EventSlots, height: int, width: int, cfg: FinderConfig, look: LookConfig,
+        workspace: Workspace,
+    ) -> None:  # fmt: skip
+        backend, half = workspace.backend, cfg.half
+        side = 2 * half + 1
+        self._ptr, self._motion = workspace.mirror((2,), np.int32), workspace.mirror((1, 2))
+        self._direction, self._lag = workspace.mirror((1, 2)), workspace.mirror((1, 2))
+        self._basis, self._mix = workspace.mirror((side, side, TERMS)), workspace.mirror((ANGLES, TERMS))
+        self._peaks = workspace.mirror((1, look.peaks, 5))
+        spans = workspace.put(_spans(cfg))
+        self.pyramid: list[PyramidLevel] = []
+        padded: list[Any] = []
+        modules: list[float] = []
+        for module_px in _module_sizes(look.smallest_module_px, look.largest_module_px, cfg.scale_ratio):
+            cell = module_px / cfg.cells_a_module
+            rows, columns = math.ceil(height / cell), _four(math.ceil(width / cell))
+            if rows < side or columns < FEWEST_CELLS:
+                break
+            # a border of zeros, which templates may hang over
+            padded.append(workspace.empty(1, rows + 2 * half, columns + 2 * half))
+            backend.clear(padded[-1])
+            self.pyramid.append(PyramidLevel(cell, padded[-1][:, half : half + rows, half : half + columns]))
+            modules.append(module_px)
+        shapes = [level.image.shape[1:] for level in self.pyramid]
+        slots = sum(rows for rows, _ in shapes)
+        maxima = workspace.empty(1, slots, MOST_A_ROW, 5)
+        strength = workspace.empty(1, slots * MOST_A_ROW)
+        index = workspace.empty(1, slots * MOST_A_ROW, dtype=np.int32)
+
+        def launch() -> None:
+            first = 0
+            for k, (level, (rows, columns)) in enumerate(zip(self.pyramid, shapes, strict=True)):
+                if k == 0:
+                    self._finest(events, level, workspace)
+                else:
+                    fine = self.pyramid[k - 1].image
+                    backend.reduce_image(
+                        fine, cfg.scale_ratio, workspace.empty(1, rows, fine.shape[2]), level.image
+                    )
+                response = workspace.empty(1, rows, columns)
+                angle = workspace.empty(1, rows, columns, dtype=np.int32)
+                backend.correlate_templates(
+                    padded[k], self._basis.device, self._mix.device, spans, look.floor, cfg.min_response,
+                    workspace.empty(1, rows + 2 * half, columns + 2 * half + 1),
+                    workspace.empty(1, rows + 2 * half),
+                    workspace.empty(1),
+                    workspace.empty(1, TERMS + 1, rows, columns),
+                    response, angle,
+                )  # fmt: skip
+                backend.local_maxima(
+                    response, angle, 0.0, level.cell, modules[k], math.pi / 2 / ANGLES,
+                    maxima[:, first : first + rows],
+                )  # fmt: skip
+                first += rows
+            backend.merge_maxima(
+                maxima.reshape((1, slots * MOST_A_ROW, 5)), 2.0, 1.5 * math.log(cfg.scale_ratio), strength,
+                index, self._peaks.device,
+            )  # fmt: skip
+
+        self._run = backend.record(launch) if self.pyramid else None
+        self._cfg = cfg
+
+    def _finest(self, events: EventSlots, level: PyramidLevel, workspace: Workspace) -> None:
+        """Make the finest level from the events; what falls on no cell is exactly 0."""
+        backend = workspace.backend
+        _, rows, columns = level.image.shape
+        cells, blurred = workspace.empty(1, 2, rows, columns), workspace.empty(1, rows, columns)
+        frame = workspace.put(np.array([[0.0, 0.0, level.cell]], np.float32))
+        backend.clear(cells)
+        backend.deposit_events(
+            events.x, events.y, events.t, events.p, self._ptr.device, self._motion.device, frame, cells
+        )
+        backend.lag_operator(
+            cells, workspace.put(np.zeros(1, np.int32)), self._direction.device, self._lag.device,
+            workspace.put(blur_taps(BLUR_CELLS)), workspace.empty(1, 2, rows, columns), blurred,
+        )  # fmt: skip
+        backend.clip_outliers(blurred, CLIP, workspace.empty(1, rows, 2), workspace.empty(1), level.image)
+
+    def __call__(
+        self, count: int, velocity: NDArray[np.float64], lag_px: tuple[float, float]
+    ) -> NDArray[np.float32]:
+        """Give the peaks, (N, 5), best first."""
+        if self._run is None:
+            return np.empty((0, 5), np.float32)
+        direction = velocity / math.hypot(*velocity)
+        degrees = round(math.degrees(math.atan2(direction[1], direction[0])))  # as good as it is known
+        basis, mix = _bank(degrees, self._cfg)
+        self._ptr.write((0, count))
+        self._motion.write(velocity)
+        self._direction.write(direction)
+        self._lag.write(np.divide(lag_px, self.pyramid[0].cell))
+        self._basis.write(basis)
+        self._mix.write(mix)
+        self._run()
+        peaks = self._peaks.read()[0]
+        return peaks[: np.count_nonzero(peaks[:, 0])].copy()
+
+
 def find_peaks(
     window: Window,
     velocity: NDArray[np.float64],
     cfg: FinderConfig,
     *,
     workspace: Workspace,
+    look: LookConfig | None = None,
     lag_px: tuple[float, float] = (0.0, 0.0),
-    quick: bool = False,
 ) -> tuple[Peaks, list[PyramidLevel]]:
     """Find what looks like a finder pattern in a window.
 
     Parameters
     ----------
     velocity : (2,) [px/s]
+    look            default the configured last, most thorough
     lag_px          lag of the pixels for ON and OFF events along the motion [px]
-    quick           only the module sizes of ``cfg.quick_module_px``, and only places with much energy:
-                    most codes at a third of the cost
 
     Returns
     -------
     peaks     best first
     pyramid   the images that were searched, finest first
     """
-    backend, device = workspace.backend, workspace.device
-    bank, disc = _bank(velocity / float(np.hypot(*velocity)), cfg)
-    bank_dev, disc_dev = workspace.put(bank), workspace.table(("finder disc", cfg), disc)
-    found: list[NDArray[np.float64]] = []
-    pyramid: list[PyramidLevel] = []
-    busy = 0.0
-    sizes = cfg.quick_module_px if quick else (cfg.smallest_module_px, cfg.largest_module_px)
-    quiet, keep = (cfg.quick_floor, cfg.quick_peaks) if quick else (cfg.floor, cfg.max_peaks)
-    for module_px in _module_sizes(*sizes, cfg.scale_ratio):
-        cell = module_px / cfg.cells_a_module
-        height, width = math.ceil(window.height / cell), _four(math.ceil(window.width / cell))
-        if height < 2 * cfg.half + 1 or width < FEWEST_CELLS:
-            break
-        padded, image = _level_buffers(height, width, cfg.half, workspace)
-        cells = workspace.get(image)
-        if pyramid:
-            fine = pyramid[-1].image
-            rows = workspace.buffer("finder rows", (1, height, fine.shape[2]))
-            backend.reduce_image(fine, cfg.scale_ratio, rows, image)
-            backend.synchronize(device)
-        else:
-            cells[:] = _finest(window, velocity, cell, height, width, lag_px, workspace)
-            busy = np.count_nonzero(cells) / cells.size
-        pyramid.append(PyramidLevel(cell, image))
-        flat = workspace.get(padded).ravel()
-        mean_square = float(np.dot(flat, flat)) / max(busy * cells.size, 1.0)
-        floor = np.array([quiet * mean_square * float(disc.sum())], np.float32)
-        response = workspace.buffer("finder response", (1, height, width))
-        angle = workspace.buffer("finder angle", (1, height, width), np.int32)
-        backend.correlate_templates(padded, bank_dev, disc_dev, workspace.put(floor), response, angle)
-        backend.synchronize(device)
-        found.append(
-            _local_peaks(workspace.get(response)[0], workspace.get(angle)[0], module_px, cell, keep, cfg)
-        )
-    return _merge(np.concatenate([np.empty((0, 5)), *found]), keep, cfg), pyramid
-
-
-def _level_buffers(height: int, width: int, pad: int, workspace: Workspace) -> tuple[Any, Any]:
-    """Make a level with a border of zeros that templates may hang over, and the level inside it."""
-
-    def make() -> tuple[Any, Any]:
-        padded = workspace.backend.empty((1, height + 2 * pad, width + 2 * pad), np.float32, workspace.device)
-        workspace.clear(padded)
-        return padded, padded[:, pad : pad + height, pad : pad + width]
-
-    return workspace.once(("finder level", height, width, pad), make)
-
-
-def _finest(
-    window: Window,
-    velocity: NDArray[np.float64],
-    cell: float,
-    height: int,
-    width: int,
-    lag_px: tuple[float, float],
-    workspace: Workspace,
-) -> NDArray[np.float32]:
-    """Make the finest level from the events, (1, height, width); what falls on no cell is exactly 0."""
-    region = Region(-0.5, -0.5, cell, height, width)
-    events = deposit(window, velocity, region, workspace=workspace)
-    image = sharpen(events, velocity, region, [lag_px], workspace=workspace)
-    workspace.backend.synchronize(workspace.device)
-    cells = workspace.get(image)
-    flat = cells.ravel()
-    rms = math.sqrt(float(np.dot(flat, flat)) / max(np.count_nonzero(flat), 1))
-    return np.clip(cells, -CLIP_RMS * rms, CLIP_RMS * rms)
-
-
-def _local_peaks(
-    response: NDArray[np.float32],
-    angle: NDArray[np.int32],
-    module_px: float,
-    cell: float,
-    keep: int,
-    cfg: FinderConfig,
-) -> NDArray[np.float64]:
-    """Local maxima of |response| on one level: rows of (response, x, y, module, angle)."""
-    height, width = response.shape
-    flat = response.ravel()
-    at = np.flatnonzero(np.square(flat) > cfg.min_response**2)
-    rows, columns = np.divmod(at, width)
-    inside = (rows > 0) & (columns > 0) & (rows < height - 1) & (columns < width - 1)
-    at, rows, columns = at[inside], rows[inside], columns[inside]
-    value = np.abs(flat[at])
-    for step in (-width - 1, -width, -width + 1, -1, 1, width - 1, width, width + 1):
-        top = value >= np.abs(flat[at + step])
-        at, rows, columns, value = at[top], rows[top], columns[top], value[top]
-    if len(at) > keep:
-        best = np.argpartition(-value, keep)[:keep]
-        at, rows, columns, value = at[best], rows[best], columns[best], value[best]
-
-    def offset(step: int) -> NDArray[np.float64]:
-        before, after = np.abs(flat[at - step]), np.abs(flat[at + step])
-        return np.clip(0.5 * (after - before) / np.maximum(2.0 * value - before - after, 1e-9), -0.5, 0.5)
-
-    x, y = columns + offset(1), rows + offset(width)
-    return np.stack(
-        [
-            flat[at].astype(np.float64),
-            (x + 0.5) * cell - 0.5,
-            (y + 0.5) * cell - 0.5,
-            np.full(len(at), module_px),
-            angle.ravel()[at] * (math.pi / 2 / ANGLES),
-        ],
-        axis=1,
+    look = look or cfg.looks[-1]
+    events = workspace.events(window)
+    search = workspace.once(
+        ("search", events.capacity, window.height, window.width, cfg, look),
+        lambda: _Search(events, window.height, window.width, cfg, look, workspace),
     )
+    table = search(len(window), velocity, lag_px).astype(np.float64)
+    return Peaks(table[:, 0], table[:, 1:3], table[:, 3], table[:, 4]), search.pyramid
 
 
-def _merge(found: NDArray[np.float64], keep: int, cfg: FinderConfig) -> Peaks:
-    """Keep the best peaks; a place seen again on a neighbouring level is the same peak."""
-    found = found[np.argsort(-np.abs(found[:, 0]), kind="stable")][: 2 * keep]
-    x, y, size = found[:, 1], found[:, 2], np.log(np.maximum(found[:, 3], 1e-9))
-    same = np.hypot(x[:, None] - x, y[:, None] - y) < 2.0 * found[:, 3][:, None]
-    same &= np.abs(size[:, None] - size) < 1.5 * math.log(cfg.scale_ratio)
-    same &= np.sign(found[:, 0])[:, None] == np.sign(found[:, 0])
-    kept: list[int] = []
-    left = np.ones(len(found), bool)
-    for k in range(len(found)):
-        if left[k]:
-            left &= ~same[k]
-            kept.append(k)
-            if len(kept) == keep:
-                break
-    table = found[kept]
-    return Peaks(table[:, 0], table[:, 1:3], table[:, 3], table[:, 4])
-
-
-def find_hypotheses(peaks: Peaks, cfg: FinderConfig) -> list[Hypothesis]:
+def find_hypotheses(
+    peaks: Peaks, cfg: FinderConfig, *, workspace: Workspace, most: int | None = None
+) -> list[Hypothesis]:
     """Triples of peaks that make the corners of a code, best first.
 
     Corner i sees its neighbours j (along u) and k (along v) at a right angle, with equal legs of 10 + 4
     version modules.
+
+    Parameters
+    ----------
+    most   hypotheses wanted, default that of the configured last look
     """
-    n = len(peaks.response)
-    if n < 3:
+    count = len(peaks.response)
+    if count < 3:
         return []
-    to = peaks.position[None, :, :] - peaks.position[:, None, :]
-    leg = np.hypot(to[..., 0], to[..., 1])
-    direction = np.arctan2(to[..., 1], to[..., 0])
-    size = np.log(peaks.module_px)
-    log_leg = np.log(np.maximum(leg, 1e-9))
+    room = _four(count)
 
-    def turn(a: NDArray[np.float64], period: float) -> NDArray[np.float64]:
-        return np.abs((a + period / 2) % period - period / 2)
+    def make() -> tuple[Any, ...]:
+        table, triples = workspace.mirror((1, room, 5)), workspace.mirror((1, room, MOST_OF_A_CORNER, 4))
+        log_legs = np.log((10.0 + 4.0 * MIN_VERSION, 10.0 + 4.0 * MAX_VERSION))
+        tolerances = (cfg.leg_tolerance, cfg.scale_tolerance, cfg.angle_tolerance, *log_legs)
+        tolerances = workspace.put(np.array(tolerances, np.float32))
+        scratch = workspace.empty(1, room, room, dtype=np.int32), workspace.empty(1, room, room, 3)
+        run = workspace.backend.record(
+            lambda: workspace.backend.match_corners(table.device, tolerances, *scratch, triples.device)
+        )
+        return table, triples, run
 
-    along_axes = turn(direction - peaks.angle[:, None], math.pi / 2) < cfg.angle_tolerance
-    along_axes &= turn(direction - peaks.angle[None, :], math.pi / 2) < cfg.angle_tolerance
-    pair = along_axes & (peaks.response[:, None] * peaks.response[None, :] > 0.0)
-    pair &= np.abs(size[:, None] - size[None, :]) < 2.0 * cfg.scale_tolerance
-    pair &= log_leg > np.minimum(size[:, None], size[None, :]) + math.log(14.0) - 2.0 * cfg.scale_tolerance
-
-    # legs that leave the same corner, two by two
-    corner, end = np.nonzero(pair)
-    first, second = np.nonzero(corner[:, None] == corner[None, :])
-    i, j, k = corner[first], end[first], end[second]
-    fits = turn(direction[i, k] - direction[i, j] - math.pi / 2, 2.0 * math.pi) < cfg.angle_tolerance
-    fits &= np.abs(log_leg[i, j] - log_leg[i, k]) < cfg.leg_tolerance
-    i, j, k = i[fits], j[fits], k[fits]
-    response = np.abs(peaks.response[i]) + np.abs(peaks.response[j]) + np.abs(peaks.response[k])
-    modules = 0.5 * (log_leg[i, j] + log_leg[i, k]) - (size[i] + size[j] + size[k]) / 3.0
+    table, triples, run = workspace.once(("corners", room, cfg), make)
+    table.host[0, count:] = 0.0
+    table.host[0, :count, 0] = peaks.response
+    table.host[0, :count, 1:3] = peaks.position
+    table.host[0, :count, 3] = peaks.module_px
+    table.host[0, :count, 4] = peaks.angle
+    table.push()
+    run()
+    found = triples.read()[0]
+    corner, place = np.nonzero(found[..., 0])
+    found = found[corner, place]
+    best = np.argsort(-found[:, 0], kind="stable")
+    wanted = cfg.looks[-1].hypotheses if most is None else most
     hypotheses: list[Hypothesis] = []
-    for t in np.argsort(-response, kind="stable"):
-        versions = np.arange(MIN_VERSION, MAX_VERSION + 1)
-        misfit = np.abs(np.log(10.0 + 4.0 * versions) - modules[t])
-        for v in np.argsort(misfit, kind="stable"):
-            if misfit[v] > cfg.scale_tolerance:
-                break
-            hypotheses.append(
-                Hypothesis(
-                    int(versions[v]),
-                    _pose(peaks.position[i[t]], to[i[t], j[t]], to[i[t], k[t]], int(versions[v])),
-                    float(response[t]),
-                    bool(peaks.response[i[t]] < 0.0),
-                )
-            )
-        if len(hypotheses) >= cfg.max_hypotheses:
+    for i, (response, j, k, log_modules) in zip(corner[best], found[best].tolist(), strict=True):
+        at = peaks.position[i]
+        legs = peaks.position[int(j)] - at, peaks.position[int(k)] - at
+        inverted = bool(peaks.response[i] < 0.0)
+        for version in _versions(log_modules, cfg.scale_tolerance):
+            hypotheses.append(Hypothesis(version, _pose(at, *legs, version), response, inverted))
+        if len(hypotheses) >= wanted:
             break
     return hypotheses
+
+
+def _versions(log_modules: float, tolerance: float) -> list[int]:
+    """Versions whose finder patterns are so many modules apart, to a tolerance, best first."""
+    misfit = np.abs(_LOG_LEGS - log_modules)
+    fits = np.flatnonzero(misfit <= tolerance)
+    return (fits[np.argsort(misfit[fits], kind="stable")] + MIN_VERSION).tolist()
+
+
+_LOG_LEGS = np.log(10.0 + 4.0 * np.arange(MIN_VERSION, MAX_VERSION + 1))
+"""Logarithm of the modules between the centres of two finder patterns, by version."""
 
 
 def _pose(

@@ -8,7 +8,6 @@ order of time.
 
 from __future__ import annotations
 
-import functools
 import math
 from dataclasses import dataclass
 
@@ -17,7 +16,7 @@ from numpy.typing import NDArray
 
 from evqr.config import MotionConfig
 from evqr.windows import EventBuffer, Window
-from evqr.workspace import Workspace
+from evqr.workspace import EventSlots, Workspace
 
 FEWEST_EVENTS = 200
 """Events below which a window says nothing about motion."""
@@ -42,30 +41,46 @@ class Motion:
         return float(np.hypot(*self.velocity))
 
 
-@functools.lru_cache(maxsize=32)
-def _smoother(size: int, sigma: float) -> NDArray[np.float64]:
+def _smoother(size: int, sigma: float) -> NDArray[np.float32]:
     steps = np.arange(size)[:, None] - np.arange(size)[None, :]
-    return np.exp(-0.5 * (steps / sigma) ** 2) / (math.sqrt(2.0 * math.pi) * sigma)
+    return (np.exp(-0.5 * (steps / sigma) ** 2) / (math.sqrt(2.0 * math.pi) * sigma)).astype(np.float32)
 
 
-@functools.cache
-def _quadratic() -> NDArray[np.float64]:
-    """Least-squares fit of ``c0 + c1 x + c2 y + c3 x^2 + c4 xy + c5 y^2`` to a 3 x 3 neighbourhood."""
-    y, x = (g.ravel() for g in np.mgrid[-1:2, -1:2])
-    return np.linalg.pinv(np.stack([np.ones(9), x, y, x * x, x * y, y * y], axis=1)).astype(np.float64)
+class _Correlator:
+    """Correlates the halves of windows of one size of image, over one square of shifts."""
 
+    def __init__(
+        self, events: EventSlots, height: int, width: int, reduction: int, radius: int, cfg: MotionConfig,
+        workspace: Workspace,
+    ) -> None:  # fmt: skip
+        backend, shifts = workspace.backend, 2 * radius + 1
+        self._ptr = workspace.mirror((3,), np.int32)
+        self._peak, self._energy = workspace.mirror((1, 3)), workspace.mirror((1, 2))
+        halves = workspace.empty(2, height, width)
+        pair = halves.reshape((1, 2, height, width))
+        rows = workspace.empty(1, height, shifts, -(-shifts // 16) * 16)
+        found = workspace.empty(1, height, width, dtype=np.int32)
+        energy_rows = workspace.empty(1, height, 2)
+        surface, half_smooth, smooth = (workspace.empty(1, shifts, shifts) for _ in range(3))
+        smoother = workspace.put(_smoother(shifts, cfg.blur_px / reduction))
 
-def _peak(surface: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Position (x, y) of the highest point, from the surface's centre, to a fraction of a step."""
-    radius = surface.shape[0] // 2
-    inner = surface[1:-1, 1:-1]
-    row, column = (int(k) + 1 for k in np.unravel_index(inner.argmax(), inner.shape))
-    c = _quadratic() @ surface[row - 1 : row + 2, column - 1 : column + 2].ravel()
-    hessian = np.array([[2.0 * c[3], c[4]], [c[4], 2.0 * c[5]]])
-    offset = np.zeros(2)
-    if hessian[0, 0] < 0.0 and np.linalg.det(hessian) > 0.0:
-        offset[:] = np.clip(-np.linalg.solve(hessian, c[1:3]), -1.0, 1.0)
-    return np.array([offset[0] + column - radius, offset[1] + row - radius])
+        def launch() -> None:
+            backend.clear(halves)
+            backend.bin_events(events.x, events.y, events.p, self._ptr.device, reduction, halves)
+            backend.motion_correlation(
+                pair, cfg.clip, radius, found, rows, energy_rows, surface, self._energy.device
+            )
+            backend.surface_peak(surface, smoother, half_smooth, smooth, self._peak.device)
+
+        self._run = backend.record(launch)
+
+    def __call__(self, middle: int, count: int) -> tuple[NDArray[np.float64], float]:
+        """Give the shift (x, y) of highest correlation [binned px], and that correlation, normalised."""
+        self._ptr.write((0, middle, count))
+        self._run()
+        x, y, highest = self._peak.read()[0].tolist()
+        first, second = self._energy.read()[0].tolist()
+        return np.array([x, y]), highest / max(math.sqrt(first * second), 1e-9)
 
 
 def estimate_motion(
@@ -83,42 +98,23 @@ def estimate_motion(
     -------
     Motion      or None where a half has too few events or nothing correlates
     """
-    backend, device = workspace.backend, workspace.device
-    middle = int(np.searchsorted(window.t, 0.0))
+    middle = int(np.searchsorted(window.events.t, math.ceil(window.middle_us)))
     if min(middle, len(window) - middle) < FEWEST_EVENTS // 2:
         return None
-    blur = cfg.blur_px / reduction
-    radius = (reach or cfg.reach_px) + max(2, round(blur))
+    radius = (reach or cfg.reach_px) + max(2, round(cfg.blur_px / reduction))
     height, width = -(-window.height // reduction), -(-window.width // reduction)
-    halves = workspace.buffer("halves", (2, height, width))
-    counts = workspace.get(halves)
-    counts.fill(0.0)
-    backend.bin_events(
-        workspace.put(window.x),
-        workspace.put(window.y),
-        workspace.put(window.p),
-        workspace.put(np.array([0, middle, len(window)], np.int32)),
-        reduction,
-        halves,
+    events = workspace.events(window)
+    correlate = workspace.once(
+        ("motion", events.capacity, height, width, reduction, radius, cfg),
+        lambda: _Correlator(events, height, width, reduction, radius, cfg, workspace),
     )
-    np.clip(counts, -cfg.clip, cfg.clip, out=counts)
-    shifts = 2 * radius + 1
-    rows = workspace.buffer("motion rows", (1, height, shifts, -(-shifts // 16) * 16))
-    correlation = workspace.buffer("motion correlation", (1, shifts, shifts))
-    backend.motion_correlation(halves[0:1], halves[1:2], radius, rows, correlation)
-    backend.synchronize(device)
-    smooth = _smoother(shifts, blur)
-    surface = smooth @ workspace.get(correlation)[0].astype(np.float64) @ smooth.T
-    energy = np.sqrt(np.square(counts).sum(axis=(1, 2), dtype=np.float64).prod())
-    peak = _peak(surface)
-    if reach is None and np.abs(peak).max() >= cfg.reach_px:
+    shift, correlation = correlate(middle, len(window))
+    if reach is None and np.abs(shift).max() >= cfg.reach_px:
         return estimate_motion(window, cfg, workspace=workspace, reduction=reduction, reach=4 * cfg.reach_px)
-    displacement = peak * reduction
-    between = float(window.t[middle:].mean(dtype=np.float64) - window.t[:middle].mean(dtype=np.float64))
-    height_of_peak = float(surface.max() / max(energy, 1e-9))
-    if between <= 0.0 or height_of_peak < cfg.min_peak:
+    between = float(events.times[middle : len(window)].mean() - events.times[:middle].mean())
+    if between <= 0.0 or correlation < cfg.min_peak:
         return None
-    return Motion(displacement / between, height_of_peak)
+    return Motion(shift * reduction / between, correlation)
 
 
 def window_length_us(speed: float, travel_px: float, cfg: MotionConfig) -> int:

@@ -11,10 +11,8 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from evqr.codespace import size_of
 from evqr.config import StageOneConfig
 from evqr.initial.finder import Hypothesis, PyramidLevel
-from evqr.region import module_px
 from evqr.stage_one import align, coarse_levels
 from evqr.workspace import Workspace
 
@@ -45,22 +43,28 @@ def screen(
     candidates   best first
     iterations   of Gauss-Newton
     """
-    groups: dict[tuple[int, int], list[Hypothesis]] = {}
-    for guess in hypotheses:
-        cell = module_px(guess.pose, size_of(guess.version)) / cfg.cells_a_module
-        level = int(np.argmin([abs(np.log(entry.cell / cell)) for entry in pyramid]))
-        groups.setdefault((guess.version, level), []).append(guess)
+    if not hypotheses:
+        return [], 0
+    cells = np.array([level.cell for level in pyramid])
+    poses = np.stack([guess.pose for guess in hypotheses])
+    # affine, so a module is as large everywhere
+    modules = np.sqrt(np.abs(poses[:, 0, 0] * poses[:, 1, 1] - poses[:, 0, 1] * poses[:, 1, 0]))
+    wanted = np.log(modules / cfg.cells_a_module)
+    levels = np.abs(np.log(cells) - wanted[:, None]).argmin(axis=1).tolist()
+    groups: dict[tuple[int, int], list[int]] = {}
+    for k, guess in enumerate(hypotheses):
+        groups.setdefault((guess.version, levels[k]), []).append(k)
     candidates: list[Candidate] = []
     iterations = 0
     for (version, level), members in groups.items():
         entry = pyramid[level]
-        start = entry.from_px @ np.stack([guess.pose for guess in members])
+        start = entry.from_px @ poses[members]
         found = align(entry.image, start, version, coarse_levels(cfg), cfg, workspace=workspace)
         iterations += found.iterations
-        poses = np.linalg.inv(entry.from_px) @ found.pose
-        poses /= poses[:, 2:, 2:]
+        refined = entry.to_px @ found.pose
+        refined /= refined[:, 2:, 2:]
         candidates += [
-            Candidate(version, pose, float(score)) for pose, score in zip(poses, found.score, strict=True)
+            Candidate(version, pose, score) for pose, score in zip(refined, found.score.tolist(), strict=True)
         ]
     candidates.sort(key=lambda candidate: -candidate.score)
     return candidates, iterations

@@ -5,6 +5,7 @@ One file a concept, mirroring ``warp_backend``.  The other backends are tested a
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from typing import Any
 
 import numpy as np
@@ -15,8 +16,10 @@ from evqr_kernels.config import DEFAULT_KERNELS, KernelSet
 from evqr_kernels.numpy_backend import (
     align,
     code,
+    images,
     lag,
     motion,
+    peaks,
     pose,
     render,
     residual,
@@ -39,8 +42,13 @@ class NumpyBackend:
     lag_operator = staticmethod(lag.lag_operator)
     lag_operator_adjoint = staticmethod(lag.lag_operator_adjoint)
     motion_correlation = staticmethod(motion.motion_correlation)
-    reduce_image = staticmethod(templates.reduce_image)
+    surface_peak = staticmethod(motion.surface_peak)
+    clip_outliers = staticmethod(images.clip_outliers)
+    reduce_image = staticmethod(images.reduce_image)
     correlate_templates = staticmethod(templates.correlate_templates)
+    local_maxima = staticmethod(peaks.local_maxima)
+    merge_maxima = staticmethod(peaks.merge_maxima)
+    match_corners = staticmethod(peaks.match_corners)
     sample_moments = staticmethod(pose.sample_moments)
     sample_moments_adjoint = staticmethod(pose.sample_moments_adjoint)
     align_poses = staticmethod(align.align_poses)
@@ -67,9 +75,17 @@ class NumpyBackend:
         """Give the same memory."""
         return array
 
+    def assign(self, array: NDArray[Any], values: NDArray[Any]) -> None:
+        """Copy an array into another."""
+        array[...] = values
+
     def clear(self, array: NDArray[Any]) -> None:
         """Fill an array with zeros."""
         array.fill(0)
+
+    def record(self, run: Callable[[], None]) -> Callable[[], None]:
+        """Give the function itself."""
+        return run
 
     def synchronize(self, device: str) -> None:
         """Do nothing: NumPy has finished when it returns."""

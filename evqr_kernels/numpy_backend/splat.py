@@ -12,6 +12,7 @@ from evqr_kernels.config import SplatConfig
 
 def bin_events(x, y, weight, window_ptr, reduction, image_out) -> None:
     """Count events into pixels of ``reduction`` px; accumulates."""
+    x, y, weight = (array[: window_ptr[-1]] for array in (x, y, weight))
     scale = x.dtype.type(1.0 / reduction)
     half = x.dtype.type(0.5)
     _, height, width = image_out.shape

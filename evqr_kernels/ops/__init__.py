@@ -23,7 +23,16 @@ from evqr_kernels.ops.events import (
     splat_events,
     splat_events_adjoint,
 )
-from evqr_kernels.ops.images import correlate_templates, motion_correlation, reduce_image
+from evqr_kernels.ops.images import (
+    clip_outliers,
+    correlate_templates,
+    local_maxima,
+    match_corners,
+    merge_maxima,
+    motion_correlation,
+    reduce_image,
+    surface_peak,
+)
 from evqr_kernels.ops.render import (
     brightness_residual,
     brightness_residual_adjoint,
@@ -36,12 +45,16 @@ __all__ = [
     "bin_events",
     "brightness_residual",
     "brightness_residual_adjoint",
+    "clip_outliers",
     "code_rhs",
     "correlate_templates",
     "deposit_events",
     "deposit_events_adjoint",
     "lag_operator",
     "lag_operator_adjoint",
+    "local_maxima",
+    "match_corners",
+    "merge_maxima",
     "motion_correlation",
     "reduce_image",
     "render_affine",
@@ -51,4 +64,5 @@ __all__ = [
     "solve_code",
     "splat_events",
     "splat_events_adjoint",
+    "surface_peak",
 ]

@@ -16,9 +16,11 @@ from evqr_kernels.config import DEFAULT_KERNELS, KernelSet
 from evqr_kernels.taichi_backend import (
     align,
     code,
+    images,
     lag,
     lag_adjoint,
     motion,
+    peaks,
     pose,
     render,
     residual,
@@ -49,8 +51,13 @@ class TaichiBackend:
     lag_operator = staticmethod(lag.lag_operator)
     lag_operator_adjoint = staticmethod(lag_adjoint.lag_operator_adjoint)
     motion_correlation = staticmethod(motion.motion_correlation)
-    reduce_image = staticmethod(templates.reduce_image)
+    surface_peak = staticmethod(motion.surface_peak)
+    clip_outliers = staticmethod(images.clip_outliers)
+    reduce_image = staticmethod(images.reduce_image)
     correlate_templates = staticmethod(templates.correlate_templates)
+    local_maxima = staticmethod(peaks.local_maxima)
+    merge_maxima = staticmethod(peaks.merge_maxima)
+    match_corners = staticmethod(peaks.match_corners)
     sample_moments = staticmethod(pose.sample_moments)
     sample_moments_adjoint = staticmethod(pose.sample_moments_adjoint)
     align_poses = staticmethod(align.align_poses)
@@ -150,10 +157,21 @@ def _kernels(kernels: KernelSet) -> list[Any]:
         lag.make_deposit_events(f32, not on_cpu),
         lag.make_lag_rows(f32, TAPS),
         lag.make_lag_columns(f32, TAPS),
+        motion.make_clip_rows(f32),
         motion.make_correlate_rows(f32),
         motion.make_add_rows(f32),
-        templates.make_reduce_image(f32),
-        templates.make_correlate_templates(f32),
+        motion.make_surface_peak(f32),
+        images.make_measure_rows(f32),
+        images.make_limit(f32),
+        images.make_clip_rows(f32),
+        images.make_reduce_image(f32),
+        templates.make_running_squares(f32),
+        templates.make_quiet_floor(f32),
+        templates.make_correlate_basis(f32),
+        templates.make_best_template(f32),
+        peaks.make_local_maxima(f32),
+        peaks.make_merge_maxima(f32),
+        peaks.make_match_corners(f32),
         align.make_align_poses(f32, kernels.table_columns),
         code.make_sample_rows(f32),
         code.make_fold_columns(f32),

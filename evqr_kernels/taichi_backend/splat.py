@@ -3,8 +3,8 @@
 from functools import cache
 
 from evqr_kernels.config import SplatConfig
-from evqr_kernels.taichi_backend.exponential import make_exp
 from evqr_kernels.taichi_backend.language import array, float_of, is_on_cpu, launch, ti
+from evqr_kernels.taichi_backend.transcendental import make_exp
 
 CHUNK = 64
 """Events that one thread of a GPU takes one after another: what belongs to the window is looked up once."""
@@ -45,12 +45,15 @@ def make_bin_events(dtype, shared: bool):
         image_out: array(dtype, 3),
     ):
         for b, k in ti.ndrange(image_out.shape[0], (x.shape[0] + chunk - 1) // chunk):
+            right = dtype(image_out.shape[2])
+            bottom = dtype(image_out.shape[1])
             first = window_ptr[b] + k * chunk
             for e in range(first, ti.min(first + chunk, window_ptr[b + 1])):
-                column = int(ti.floor((x[e] + dtype(0.5)) * inverse_reduction))
-                row = int(ti.floor((y[e] + dtype(0.5)) * inverse_reduction))
-                if row >= 0 and column >= 0 and row < image_out.shape[1] and column < image_out.shape[2]:
-                    add(image_out, ti.Vector([b, row, column]), weight[e])
+                column = (x[e] + dtype(0.5)) * inverse_reduction
+                row = (y[e] + dtype(0.5)) * inverse_reduction
+                # written so that it is false for NaN
+                if column >= dtype(0.0) and row >= dtype(0.0) and column < right and row < bottom:
+                    add(image_out, ti.Vector([b, int(row), int(column)]), weight[e])
 
     return bin_events
 

@@ -3,10 +3,10 @@
 from functools import cache
 
 from evqr_kernels.config import SplatConfig
-from evqr_kernels.taichi_backend.exponential import make_exp
 from evqr_kernels.taichi_backend.language import array, float_of, launch, ti
 from evqr_kernels.taichi_backend.splat import make_transport
 from evqr_kernels.taichi_backend.sums import add_partials
+from evqr_kernels.taichi_backend.transcendental import make_exp
 
 
 @cache

@@ -1,91 +1,152 @@
-"""Matched filters at reduced resolution; the formulas are in ``warp_backend/templates.py``."""
+"""Matched filters; the formulas are in ``warp_backend/templates.py``."""
 
 from functools import cache
 
 from evqr_kernels.taichi_backend.language import array, float_of, launch, ti
 
-ANGLES = 8
-"""Templates in a bank."""
+TERMS = 5
+"""Size of the basis: a finder pattern at eight angles is in it to 0.4 %."""
+
+BLOCK = 4
+"""Neighbouring pixels of which one thread makes the responses, sharing each template load."""
 
 
 @cache
-def make_reduce_image(dtype):
-    """Build the reduction; one thread per coarse row, which it first adds up over fine rows."""
+def make_running_squares(dtype):
+    """Build the running sums of squares along rows, the first 0; one thread per row."""
 
     @ti.kernel
-    def reduce_image(
-        image: array(dtype, 3), ratio: dtype, rows_out: array(dtype, 3), image_out: array(dtype, 3)
+    def running_squares(image: array(dtype, 3), squares_out: array(dtype, 3), counts_out: array(dtype, 2)):
+        for b, y in ti.ndrange(counts_out.shape[0], counts_out.shape[1]):
+            total = dtype(0.0)
+            count = 0
+            squares_out[b, y, 0] = total
+            for x in range(image.shape[2]):
+                value = image[b, y, x]
+                total += value * value
+                count += ti.select(value != dtype(0.0), 1, 0)
+                squares_out[b, y, x + 1] = total
+            counts_out[b, y] = dtype(count)
+
+    return running_squares
+
+
+@cache
+def make_quiet_floor(dtype):
+    """Build the floor from the rows' sums; one thread per image."""
+
+    @ti.kernel
+    def quiet_floor(
+        squares: array(dtype, 3),
+        counts: array(dtype, 2),
+        spans: array(ti.i32, 2),
+        quiet: dtype,
+        floor_out: array(dtype, 1),
     ):
-        for b, y in ti.ndrange(image_out.shape[0], image_out.shape[1]):
-            one = dtype(1.0)
-            width = image.shape[2]
-            top = dtype(y) * ratio
-            bottom = top + ratio
-            for x in range(width):
-                rows_out[b, y, x] = dtype(0.0)
-            for j in range(int(top), ti.min(int(ti.ceil(bottom)), image.shape[1])):
-                share = ti.min(bottom, dtype(j) + one) - ti.max(top, dtype(j))
-                for x in range(width):
-                    rows_out[b, y, x] = rows_out[b, y, x] + share * image[b, j, x]
-            for x in range(image_out.shape[2]):
-                left = dtype(x) * ratio
-                right = left + ratio
-                total = dtype(0.0)
-                for i in range(int(left), ti.min(int(ti.ceil(right)), width)):
-                    total += (ti.min(right, dtype(i) + one) - ti.max(left, dtype(i))) * rows_out[b, y, i]
-                image_out[b, y, x] = total
+        for b in range(floor_out.shape[0]):
+            total = dtype(0.0)
+            count = dtype(0.0)
+            for y in range(squares.shape[1]):
+                total += squares[b, y, squares.shape[2] - 1]
+                count += counts[b, y]
+            places = 0
+            for j in range(spans.shape[0]):
+                places += spans[j, 1] - spans[j, 0]
+            floor_out[b] = quiet * dtype(places) * total / ti.max(count, dtype(1.0))
 
-    return reduce_image
-
-
-def reduce_image(image, ratio: float, rows_out, image_out) -> None:
-    """Launch; overwrites."""
-    launch(make_reduce_image(float_of(image)), image, ratio, rows_out, image_out)
+    return quiet_floor
 
 
 @cache
-def make_correlate_templates(dtype):
-    """Build the matched filter; one thread per row of pixels."""
+def make_correlate_basis(dtype):
+    """Build the correlation with the basis; one thread per row of blocks.
+
+    The last block of a row ends with the row and may overlap the one before: those pixels are computed twice,
+    with the same result.
+    """
 
     @ti.kernel
-    def correlate_templates(
+    def correlate_basis(
         image: array(dtype, 3),
-        bank: array(dtype, 3),
-        disc: array(dtype, 2),
+        basis: array(dtype, 3),
+        spans: array(ti.i32, 2),
+        squares: array(dtype, 3),
         floor: array(dtype, 1),
+        sums_out: array(dtype, 4),
+    ):
+        for b, y in ti.ndrange(sums_out.shape[0], sums_out.shape[2]):
+            width = sums_out.shape[3]
+            size = spans.shape[0]
+            for k in range((width + BLOCK - 1) // BLOCK):
+                x = ti.min(BLOCK * k, width - BLOCK)
+                energy = ti.Vector.zero(dtype, BLOCK)
+                for j in range(size):
+                    first = x + spans[j, 0]
+                    last = x + spans[j, 1]
+                    for p in ti.static(range(BLOCK)):
+                        energy[p] += squares[b, y + j, last + p] - squares[b, y + j, first + p]
+                if energy.max() > floor[b]:
+                    sums = ti.Matrix.zero(dtype, TERMS, BLOCK)
+                    for j in range(size):
+                        for i in range(size):
+                            for p in ti.static(range(BLOCK)):
+                                v = image[b, y + j, x + i + p]
+                                for c in ti.static(range(TERMS)):
+                                    sums[c, p] += basis[j, i, c] * v
+                    for c, p in ti.static(ti.ndrange(TERMS, BLOCK)):
+                        sums_out[b, c, y, x + p] = sums[c, p]
+                for p in ti.static(range(BLOCK)):
+                    sums_out[b, TERMS, y, x + p] = energy[p]
+
+    return correlate_basis
+
+
+@cache
+def make_best_template(dtype):
+    """Build the choice of the best template; one thread per row."""
+
+    @ti.kernel
+    def best_template(
+        sums: array(dtype, 4),
+        mix: array(dtype, 2),
+        floor: array(dtype, 1),
+        least: dtype,
         response_out: array(dtype, 3),
         angle_out: array(ti.i32, 3),
     ):
         for b, y in ti.ndrange(response_out.shape[0], response_out.shape[1]):
-            size = disc.shape[0]
             for x in range(response_out.shape[2]):
-                energy = dtype(0.0)
-                for j in range(size):
-                    for i in range(size):
-                        v = image[b, y + j, x + i]
-                        energy += disc[j, i] * v * v
                 best = dtype(0.0)
                 angle = 0
-                if energy >= floor[b]:
-                    every = ti.Vector.zero(dtype, ANGLES)
-                    for j in range(size):
-                        for i in range(size):
-                            v = image[b, y + j, x + i]
-                            if v != dtype(0.0):
-                                for a in ti.static(range(ANGLES)):
-                                    every[a] += bank[j, i, a] * v
-                    best = every[0]
-                    for a in ti.static(range(1, ANGLES)):
-                        if ti.abs(every[a]) > ti.abs(best):
-                            best = every[a]
-                            angle = a
-                    best /= ti.sqrt(energy + floor[b])
+                energy = sums[b, TERMS, y, x]
+                if energy > floor[b]:
+                    here = ti.Vector([sums[b, c, y, x] for c in range(TERMS)])
+                    weakest = least * least * (energy + floor[b])
+                    if here.dot(here) >= weakest:  # no template answers more than this
+                        for a in range(mix.shape[0]):
+                            value = dtype(0.0)
+                            for c in ti.static(range(TERMS)):
+                                value += mix[a, c] * here[c]
+                            if ti.abs(value) > ti.abs(best):
+                                best = value
+                                angle = a
+                        if best * best < weakest:
+                            best = dtype(0.0)
+                            angle = 0
+                        best /= ti.sqrt(energy + floor[b])
                 response_out[b, y, x] = best
                 angle_out[b, y, x] = angle
 
-    return correlate_templates
+    return best_template
 
 
-def correlate_templates(image, bank, disc, floor, response_out, angle_out) -> None:
-    """Launch; overwrites."""
-    launch(make_correlate_templates(float_of(image)), image, bank, disc, floor, response_out, angle_out)
+def correlate_templates(
+    image, basis, mix, spans, quiet: float, least: float, squares_out, counts_out, floor_out, sums_out,
+    response_out, angle_out,
+) -> None:  # fmt: skip
+    """Launch the running sums, the floor, the correlation and the choice; overwrites."""
+    dtype = float_of(image)
+    launch(make_running_squares(dtype), image, squares_out, counts_out)
+    launch(make_quiet_floor(dtype), squares_out, counts_out, spans, quiet, floor_out)
+    launch(make_correlate_basis(dtype), image, basis, spans, squares_out, floor_out, sums_out)
+    launch(make_best_template(dtype), sums_out, mix, floor_out, least, response_out, angle_out)

@@ -5,6 +5,7 @@ as many Python threads as the caller likes (call `WarpBackend.load` before they 
 """
 
 import os
+from collections.abc import Callable
 from typing import Any
 
 import numpy as np
@@ -17,9 +18,11 @@ from evqr_kernels.native_output import without_lines
 from evqr_kernels.warp_backend import (
     align,
     code,
+    images,
     lag,
     lag_adjoint,
     motion,
+    peaks,
     pose,
     render,
     residual,
@@ -28,6 +31,7 @@ from evqr_kernels.warp_backend import (
     splat_adjoint,
     templates,
 )
+from evqr_kernels.warp_backend.language import clear, record
 
 _DTYPES = {np.dtype(np.float32): wp.float32, np.dtype(np.float64): wp.float64, np.dtype(np.int32): wp.int32}
 _NO_DRIVER = b"Could not find or load the NVIDIA CUDA driver"
@@ -46,8 +50,13 @@ class WarpBackend:
     lag_operator = staticmethod(lag.lag_operator)
     lag_operator_adjoint = staticmethod(lag_adjoint.lag_operator_adjoint)
     motion_correlation = staticmethod(motion.motion_correlation)
-    reduce_image = staticmethod(templates.reduce_image)
+    surface_peak = staticmethod(motion.surface_peak)
+    clip_outliers = staticmethod(images.clip_outliers)
+    reduce_image = staticmethod(images.reduce_image)
     correlate_templates = staticmethod(templates.correlate_templates)
+    local_maxima = staticmethod(peaks.local_maxima)
+    merge_maxima = staticmethod(peaks.merge_maxima)
+    match_corners = staticmethod(peaks.match_corners)
     sample_moments = staticmethod(pose.sample_moments)
     sample_moments_adjoint = staticmethod(pose.sample_moments_adjoint)
     align_poses = staticmethod(align.align_poses)
@@ -92,9 +101,17 @@ class WarpBackend:
         """Bring an array back; on the CPU it is the same memory.  Waits for the device."""
         return array.numpy()
 
+    def assign(self, array: wp.array, values: NDArray[Any]) -> None:
+        """Copy a NumPy array of the same shape and dtype into an array."""
+        array.assign(values)
+
     def clear(self, array: wp.array) -> None:
         """Fill an array with zeros."""
-        array.zero_()
+        clear(array)
+
+    def record(self, run: Callable[[], None]) -> Callable[[], None]:
+        """Note down what ``run`` launches; the result launches it again at a fraction of the cost."""
+        return record(run)
 
     def synchronize(self, device: str) -> None:
         """Wait for everything launched on the device."""
@@ -134,10 +151,21 @@ def _modules(kernels: KernelSet, device: str) -> list[wp.Module]:
         lag.make_deposit_events(f32),
         lag.make_lag_rows(f32),
         lag.make_lag_columns(f32),
+        motion.make_clip_rows(f32),
         motion.make_correlate_rows(f32),
         motion.make_add_rows(f32),
-        templates.make_reduce_image(f32),
-        templates.make_correlate_templates(f32, templates.block_of(wp.get_device(device), width=640)),
+        motion.make_surface_peak(f32),
+        images.make_measure_rows(f32),
+        images.make_limit(f32),
+        images.make_clip_rows(f32),
+        images.make_reduce_image(f32),
+        templates.make_running_squares(f32),
+        templates.make_quiet_floor(f32),
+        templates.make_correlate_basis(f32, templates.block_of(wp.get_device(device), width=640)),
+        templates.make_best_template(f32),
+        peaks.make_local_maxima(f32),
+        peaks.make_merge_maxima(f32),
+        peaks.make_match_corners(f32),
         align.make_align_poses(f32, kernels.table_columns),
         code.make_sample_rows(f32),
         code.make_fold_columns(f32, code.BLOCK),

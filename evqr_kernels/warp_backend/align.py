@@ -23,7 +23,7 @@ from functools import cache
 
 import warp as wp
 
-from evqr_kernels.warp_backend.language import last_axis_as_vector, module_of, neighbours, vector
+from evqr_kernels.warp_backend.language import last_axis_as_vector, launch, module_of, neighbours, vector
 from evqr_kernels.warp_backend.pose import make_bilinear, make_project
 
 MOST = 10
@@ -213,7 +213,7 @@ def align_poses(
 ) -> None:
     """Launch; overwrites the results."""
     dtype, columns = image.dtype, table.shape[1]
-    wp.launch(
+    launch(
         make_align_poses(dtype, columns),
         pose_inout.shape[0],
         inputs=[

@@ -14,7 +14,7 @@ from functools import cache
 
 import warp as wp
 
-from evqr_kernels.warp_backend.language import module_of, neighbours, vector
+from evqr_kernels.warp_backend.language import launch, module_of, neighbours, vector
 from evqr_kernels.warp_backend.pose import make_bilinear, make_project
 
 TAPS = 4
@@ -119,7 +119,7 @@ def code_rhs(
     dtype, device = image.dtype, image.device
     batch, modules, _ = rhs_out.shape
     block = BLOCK if modules >= BLOCK else 1
-    wp.launch(
+    launch(
         make_sample_rows(dtype),
         (batch, lattice.shape[0]),
         inputs=[
@@ -135,7 +135,7 @@ def code_rhs(
         outputs=[samples_out, neighbours(samples_out, TAPS), rows_out],
         device=device,
     )
-    wp.launch(
+    launch(
         make_fold_columns(dtype, block),
         (batch, modules, -(-modules // block)),
         inputs=[neighbours(rows_out, block), profile, slope, gain, samples_a_module],

@@ -23,14 +23,11 @@ from functools import cache
 
 import warp as wp
 
-from evqr_kernels.warp_backend.language import module_of, neighbours, vector
-from evqr_kernels.warp_backend.splat import make_transport
+from evqr_kernels.warp_backend.language import launch, module_of, neighbours, vector
+from evqr_kernels.warp_backend.splat import CHUNK, make_transport
 
 BLOCK = 16
 """Neighbouring cells that one thread does together."""
-
-CHUNK = 64
-"""Events that one thread takes one after another: what belongs to the window is looked up once."""
 
 
 @cache
@@ -81,7 +78,7 @@ def make_deposit_events(dtype: type) -> wp.Kernel:
 
 def deposit_events(x, y, t, weight, window_ptr, motion, frame, deposit_out) -> None:
     """Launch; accumulates.  Float atomics: on a GPU sums repeat to a tolerance, not bit for bit."""
-    wp.launch(
+    launch(
         make_deposit_events(x.dtype),
         (motion.shape[0], -(-x.shape[0] // CHUNK)),
         inputs=[x, y, t, weight, window_ptr, motion, frame],
@@ -166,14 +163,14 @@ def lag_operator(deposit, deposit_idx, direction, lag, taps, rows_out, image_out
     count, height, width = image_out.shape
     blocks = -(-(width - 2 * (taps.shape[1] // 2)) // BLOCK)
     rows = neighbours(rows_out, BLOCK)
-    wp.launch(
+    launch(
         make_lag_rows(dtype),
         (count, height, blocks),
         inputs=[neighbours(deposit, BLOCK), deposit_idx, direction, lag, taps],
         outputs=[rows],
         device=device,
     )
-    wp.launch(
+    launch(
         make_lag_columns(dtype),
         (count, height, blocks),
         inputs=[rows, taps],

@@ -18,7 +18,7 @@ from functools import cache
 
 import warp as wp
 
-from evqr_kernels.warp_backend.language import module_of
+from evqr_kernels.warp_backend.language import launch, module_of
 from evqr_kernels.warp_backend.splat import make_transport
 
 
@@ -68,7 +68,7 @@ def make_deposit_events_adjoint(dtype: type) -> wp.Kernel:
 
 def deposit_events_adjoint(x, y, t, weight, window_ptr, motion, frame, adj_deposit, adj_weight_out) -> None:
     """Launch; overwrites."""
-    wp.launch(
+    launch(
         make_deposit_events_adjoint(x.dtype),
         x.shape[0],
         inputs=[x, y, t, weight, window_ptr, motion, frame, adj_deposit],
@@ -148,14 +148,14 @@ def lag_operator_adjoint(deposit_idx, direction, lag, taps, adj_image, rows_out,
     """Launch both passes; overwrites."""
     dtype, device = adj_image.dtype, adj_image.device
     count, _, height, width = adj_deposit_out.shape
-    wp.launch(
+    launch(
         make_lag_columns_adjoint(dtype),
         adj_image.shape,
         inputs=[adj_image, taps],
         outputs=[rows_out],
         device=device,
     )
-    wp.launch(
+    launch(
         make_lag_rows_adjoint(dtype),
         (count, height, width),
         inputs=[rows_out, deposit_idx, direction, lag, taps],

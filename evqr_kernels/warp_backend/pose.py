@@ -19,7 +19,7 @@ from functools import cache
 
 import warp as wp
 
-from evqr_kernels.warp_backend.language import last_axis_as_vector, module_of, neighbours, vector
+from evqr_kernels.warp_backend.language import last_axis_as_vector, launch, module_of, neighbours, vector
 
 
 @cache
@@ -132,14 +132,14 @@ def sample_moments(image, image_idx, pose, active, points, table, chunks_out, mo
     """Launch both passes; overwrites the moments of active poses, leaves those of the others."""
     dtype, device = image.dtype, image.device
     columns = table.shape[1]
-    wp.launch(
+    launch(
         make_moments_of_chunks(dtype, columns),
         chunks_out.shape[:2],
         inputs=[neighbours(image, 2), image_idx, pose, active, points, last_axis_as_vector(table)],
         outputs=[chunks_out],
         device=device,
     )
-    wp.launch(
+    launch(
         make_add_chunks(dtype, columns),
         moments_out.shape,
         inputs=[chunks_out, active],
@@ -191,7 +191,7 @@ def sample_moments_adjoint(image, image_idx, pose, active, points, table, adj_mo
     """Launch; accumulates.  Float atomics: on a GPU sums repeat to a tolerance, not bit for bit."""
     dtype = image.dtype
     columns = table.shape[1]
-    wp.launch(
+    launch(
         make_sample_moments_adjoint(dtype, columns),
         (pose.shape[0], points.shape[0]),
         inputs=[

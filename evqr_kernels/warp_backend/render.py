@@ -19,7 +19,7 @@ from functools import cache
 
 import warp as wp
 
-from evqr_kernels.warp_backend.language import module_of
+from evqr_kernels.warp_backend.language import launch, module_of
 from evqr_kernels.warp_backend.sums import add_partials
 
 
@@ -84,7 +84,7 @@ def make_render_affine(dtype: type) -> wp.Kernel:
 
 def render_affine(grid, affine, outside, image_out) -> None:
     """Launch; overwrites."""
-    wp.launch(
+    launch(
         make_render_affine(grid.dtype),
         image_out.shape[:2],
         inputs=[grid, affine, outside],
@@ -193,7 +193,7 @@ def make_adjoint_of_grid(dtype: type) -> wp.Kernel:
 def render_affine_adjoint(grid, affine, outside, adj_image, rows_out, adj_grid_out, adj_affine_out) -> None:
     """Launch; overwrites."""
     dtype, device = grid.dtype, grid.device
-    wp.launch(
+    launch(
         make_adjoint_of_affine(dtype),
         adj_image.shape[:2],
         inputs=[grid, affine, outside, adj_image],
@@ -201,7 +201,7 @@ def render_affine_adjoint(grid, affine, outside, adj_image, rows_out, adj_grid_o
         device=device,
     )
     add_partials(rows_out, adj_affine_out)
-    wp.launch(
+    launch(
         make_adjoint_of_grid(dtype),
         grid.shape,
         inputs=[affine, adj_image],

@@ -15,7 +15,7 @@ from functools import cache
 
 import warp as wp
 
-from evqr_kernels.warp_backend.language import module_of
+from evqr_kernels.warp_backend.language import launch, module_of
 from evqr_kernels.warp_backend.sums import add_partials
 
 
@@ -56,7 +56,7 @@ def make_brightness_residual(dtype: type) -> wp.Kernel:
 
 def brightness_residual(luminance, events_image, motion, residual_out) -> None:
     """Launch; overwrites."""
-    wp.launch(
+    launch(
         make_brightness_residual(luminance.dtype),
         luminance.shape[:2],
         inputs=[luminance, events_image, motion],
@@ -107,7 +107,7 @@ def brightness_residual_adjoint(
     luminance, motion, adj_residual, rows_out, adj_luminance_out, adj_motion_out
 ) -> None:
     """Launch both passes; overwrites."""
-    wp.launch(
+    launch(
         make_brightness_residual_adjoint(luminance.dtype),
         luminance.shape[:2],
         inputs=[luminance, motion, adj_residual],

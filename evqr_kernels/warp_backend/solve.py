@@ -20,7 +20,7 @@ from functools import cache
 
 import warp as wp
 
-from evqr_kernels.warp_backend.language import module_of, neighbours, vector
+from evqr_kernels.warp_backend.language import launch, module_of, neighbours, vector
 
 BLOCK = 8
 """Neighbouring modules done together on the CPU."""
@@ -133,7 +133,7 @@ def solve_windows(
 ) -> None:
     """Launch the CPU's variant; q is updated in place, the rest overwritten."""
     residual, direction, _, product, _, _ = scratch
-    wp.launch(
+    launch(
         make_solve_windows(rhs.dtype),
         rhs.shape[0],
         inputs=[rhs, stencil, damping, free, max_iterations, tolerance],
@@ -278,7 +278,7 @@ def solve_rows(
     """Launch the GPU's variant; q is updated in place, the rest overwritten."""
     dtype, device, rows = rhs.dtype, rhs.device, rhs.shape[:2]
     residual, direction, next_direction, product, sums, next_sums = scratch
-    wp.launch(
+    launch(
         make_start(dtype),
         rows,
         inputs=[rhs, stencil, damping, free, q_inout],
@@ -286,14 +286,14 @@ def solve_rows(
         device=device,
     )
     for _ in range(max_iterations):
-        wp.launch(
+        launch(
             make_apply(dtype),
             rows,
             inputs=[stencil, damping, free, residual, direction, tolerance],
             outputs=[next_direction, product, sums],
             device=device,
         )
-        wp.launch(
+        launch(
             make_update(dtype),
             rows,
             inputs=[next_direction, product, tolerance, sums],

@@ -25,12 +25,15 @@ from functools import cache
 import warp as wp
 
 from evqr_kernels.config import SplatConfig
-from evqr_kernels.warp_backend.language import module_of, neighbours, vector
+from evqr_kernels.warp_backend.language import launch, module_of, neighbours, vector
+
+CHUNK = 64
+"""Events that one thread takes one after another: what belongs to the window is looked up once."""
 
 
 @cache
 def make_bin_events(dtype: type) -> wp.Kernel:
-    """Build the binning kernel; launch: one thread per event."""
+    """Build the binning kernel; launch: one thread per (window, chunk of the longest window)."""
 
     @wp.kernel(module=module_of("bin", dtype))
     def bin_events(
@@ -41,21 +44,25 @@ def make_bin_events(dtype: type) -> wp.Kernel:
         inverse_reduction: dtype,
         image_out: wp.array3d(dtype=dtype),
     ):
-        e = wp.tid()
-        window = wp.lower_bound(window_ptr, e + 1) - 1
-        column = int(wp.floor((x[e] + dtype(0.5)) * inverse_reduction))
-        row = int(wp.floor((y[e] + dtype(0.5)) * inverse_reduction))
-        if row >= 0 and column >= 0 and row < image_out.shape[1] and column < image_out.shape[2]:
-            wp.atomic_add(image_out, window, row, column, weight[e])
+        b, chunk = wp.tid()
+        right = dtype(image_out.shape[2])
+        bottom = dtype(image_out.shape[1])
+        first = window_ptr[b] + chunk * CHUNK
+        for e in range(first, wp.min(first + CHUNK, window_ptr[b + 1])):
+            column = (x[e] + dtype(0.5)) * inverse_reduction
+            row = (y[e] + dtype(0.5)) * inverse_reduction
+            # written so that it is false for NaN
+            if column >= dtype(0.0) and row >= dtype(0.0) and column < right and row < bottom:
+                wp.atomic_add(image_out, b, int(row), int(column), weight[e])
 
     return bin_events
 
 
 def bin_events(x, y, weight, window_ptr, reduction: float, image_out) -> None:
     """Launch; accumulates.  Float atomics: on a GPU sums repeat to a tolerance, not bit for bit."""
-    wp.launch(
+    launch(
         make_bin_events(x.dtype),
-        x.shape[0],
+        (window_ptr.shape[0] - 1, -(-x.shape[0] // CHUNK)),
         inputs=[x, y, weight, window_ptr, 1.0 / reduction],
         outputs=[image_out],
         device=x.device,
@@ -174,7 +181,7 @@ def make_splat_events(dtype: type, cfg: SplatConfig) -> wp.Kernel:
 
 def splat_events(x, y, t, weight, window_ptr, motion, lag, frame, image_out, cfg: SplatConfig) -> None:
     """Launch; accumulates.  Float atomics: on a GPU sums repeat to a tolerance, not bit for bit."""
-    wp.launch(
+    launch(
         make_splat_events(x.dtype, cfg),
         x.shape[0],
         inputs=[x, y, t, weight, window_ptr, motion, lag, frame],

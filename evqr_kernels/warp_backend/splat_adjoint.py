@@ -15,7 +15,7 @@ from functools import cache
 import warp as wp
 
 from evqr_kernels.config import SplatConfig
-from evqr_kernels.warp_backend.language import module_of
+from evqr_kernels.warp_backend.language import launch, module_of
 from evqr_kernels.warp_backend.splat import make_transport
 from evqr_kernels.warp_backend.sums import add_partials
 
@@ -116,7 +116,7 @@ def splat_events_adjoint(
     cfg: SplatConfig,
 ) -> None:  # fmt: skip
     """Launch both passes; overwrites."""
-    wp.launch(
+    launch(
         make_splat_events_adjoint(x.dtype, cfg),
         chunks_out.shape[:2],
         inputs=[x, y, t, weight, window_ptr, motion, lag, frame, adj_image],

@@ -9,7 +9,7 @@ from functools import cache
 
 import warp as wp
 
-from evqr_kernels.warp_backend.language import module_of
+from evqr_kernels.warp_backend.language import launch, module_of
 
 
 @cache
@@ -32,7 +32,7 @@ def make_add_partials(dtype: type) -> wp.Kernel:
 
 def add_partials(partial, total_out) -> None:
     """Launch; overwrites."""
-    wp.launch(
+    launch(
         make_add_partials(partial.dtype),
         total_out.shape,
         inputs=[partial],

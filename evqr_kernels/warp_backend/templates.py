@@ -1,30 +1,32 @@
-"""Matched filters at reduced resolution.
-
-``reduce_image``: sum over a coarser grid: the pixel of the coarse image covers ``ratio`` x ``ratio`` fine
-pixels, with fractional coverage at its borders.
-
-``correlate_templates``: normalised correlation with a bank of square templates (the angles of a finder
-pattern, say), of which only the best one is kept:
+"""Matched filters: normalised correlation with the templates of a bank, of which only the best one is kept.
 
     response(y, x) = sum_{j, i} T_a(j, i) image(y + j, x + i) / sqrt(energy(y, x) + floor)
-    energy(y, x)   = sum_{j, i} D(j, i) image(y + j, x + i)^2
+    energy(y, x)   = sum_{(j, i) in disc} image(y + j, x + i)^2
+    floor          = quiet |disc| (mean square of the pixels that are not 0)
 
-with a = angle(y, x) the one of largest magnitude.  D, 0 to 1, is the disc that the templates fill, and the
-floor keeps quiet places quiet: where the energy under the disc is less than the floor the response is 0.  The
-sign of the best response is kept: an inverted code answers with the opposite one.
+with a = angle(y, x) the template of largest magnitude.  The floor keeps quiet places quiet: where the energy
+under the disc is less the response is 0.  The sign of the best response is kept: an inverted code answers
+with the opposite one.
+
+Templates that are turned copies of one pattern lie in a space of few dimensions (steerable filters: Freeman
+and Adelson, PAMI 1991), so the bank comes as a basis of five and as the mixture that each template is of it:
+
+    T_a(j, i) = sum_k mix(a, k) basis(j, i, k)
+
+The basis is orthonormal and the rows of the mixture are no longer than 1, so the length of the sums bounds
+every response.  Responses of magnitude below ``least`` are 0.
+
+The disc is given by the ends of its rows, ``spans`` (N, 2): energies are then differences of running sums.
 """
 
 from functools import cache
 
 import warp as wp
 
-from evqr_kernels.warp_backend.language import last_axis_as_vector, module_of, neighbours, vector
+from evqr_kernels.warp_backend.language import last_axis_as_vector, launch, module_of, neighbours, vector
 
-SPAN = 16
-"""Neighbouring fine pixels that a reduction adds up together."""
-
-ANGLES = 8
-"""Templates in a bank."""
+TERMS = 5
+"""Size of the basis: a finder pattern at eight angles is in it to 0.4 %."""
 
 CPU_BLOCK, GPU_BLOCK = 16, 4
 """Neighbouring pixels of which one thread makes the responses, sharing each template load."""
@@ -36,150 +38,189 @@ def block_of(device: wp.Device, width: int) -> int:
 
 
 @cache
-def make_reduce_image(dtype: type) -> wp.Kernel:
-    """Build the reduction; launch: one thread per coarse row, which it first adds up over fine rows."""
-    vec_block = vector(SPAN, dtype)
+def make_running_squares(dtype: type) -> wp.Kernel:
+    """Build the running sums of squares along rows, the first 0; launch: one thread per row."""
 
-    @wp.kernel(module=module_of("templates", dtype))
-    def reduce_image(
+    @wp.kernel(module=module_of("squares", dtype))
+    def running_squares(
         image: wp.array3d(dtype=dtype),
-        image_blocks: wp.array3d(dtype=vec_block),
-        ratio: dtype,
-        rows_out: wp.array3d(dtype=dtype),
-        row_blocks_out: wp.array3d(dtype=vec_block),
-        image_out: wp.array3d(dtype=dtype),
+        squares_out: wp.array3d(dtype=dtype),
+        counts_out: wp.array2d(dtype=dtype),
     ):
         b, y = wp.tid()
-        one = dtype(1.0)
-        fine_width = image.shape[2]
-        top = dtype(y) * ratio
-        bottom = top + ratio
-        first = int(top)
-        last = wp.min(int(wp.ceil(bottom)), image.shape[1])
-        whole = fine_width - fine_width % SPAN
-        for x in range(0, whole, SPAN):
-            block = vec_block()
-            for j in range(first, last):
-                block += (wp.min(bottom, dtype(j) + one) - wp.max(top, dtype(j))) * image_blocks[b, j, x]
-            row_blocks_out[b, y, x] = block
-        for x in range(whole, fine_width):
-            total = dtype(0.0)
-            for j in range(first, last):
-                total += (wp.min(bottom, dtype(j) + one) - wp.max(top, dtype(j))) * image[b, j, x]
-            rows_out[b, y, x] = total
-        for x in range(image_out.shape[2]):
-            left = dtype(x) * ratio
-            right = left + ratio
-            total = dtype(0.0)
-            for i in range(int(left), wp.min(int(wp.ceil(right)), fine_width)):
-                total += (wp.min(right, dtype(i) + one) - wp.max(left, dtype(i))) * rows_out[b, y, i]
-            image_out[b, y, x] = total
+        total = dtype(0.0)
+        count = wp.int32(0)
+        squares_out[b, y, 0] = total
+        for x in range(image.shape[2]):
+            value = image[b, y, x]
+            total += value * value
+            count += wp.where(value != dtype(0.0), 1, 0)
+            squares_out[b, y, x + 1] = total
+        counts_out[b, y] = dtype(count)
 
-    return reduce_image
-
-
-def reduce_image(image, ratio: float, rows_out, image_out) -> None:
-    """Launch; overwrites."""
-    wp.launch(
-        make_reduce_image(image.dtype),
-        image_out.shape[:2],
-        inputs=[image, neighbours(image, SPAN), ratio],
-        outputs=[rows_out, neighbours(rows_out, SPAN), image_out],
-        device=image.device,
-    )
+    return running_squares
 
 
 @cache
-def make_correlate_templates(dtype: type, block: int) -> wp.Kernel:
-    """Build the matched filter; launch: one thread per ``block`` neighbouring pixels of a row.
+def make_quiet_floor(dtype: type) -> wp.Kernel:
+    """Build the floor from the rows' sums; launch: one thread per image."""
 
-    ``pixels[b, y, x]`` is the vector of ``block`` pixels from x on.  The last block of a row ends with the
-    row and may overlap the one before: those pixels are computed twice, with the same result.
+    @wp.kernel(module=module_of("squares", dtype))
+    def quiet_floor(
+        squares: wp.array3d(dtype=dtype),
+        counts: wp.array2d(dtype=dtype),
+        spans: wp.array2d(dtype=wp.int32),
+        quiet: dtype,
+        floor_out: wp.array(dtype=dtype),
+    ):
+        b = wp.tid()
+        total = dtype(0.0)
+        count = dtype(0.0)
+        for y in range(squares.shape[1]):
+            total += squares[b, y, squares.shape[2] - 1]
+            count += counts[b, y]
+        places = wp.int32(0)
+        for j in range(spans.shape[0]):
+            places += spans[j, 1] - spans[j, 0]
+        floor_out[b] = quiet * dtype(places) * total / wp.max(count, dtype(1.0))
+
+    return quiet_floor
+
+
+@cache
+def make_correlate_basis(dtype: type, block: int) -> wp.Kernel:
+    """Build the correlation with the basis; launch: one thread per ``block`` neighbouring pixels of a row.
+
+    ``pixels[b, y, x]`` is the vector of ``block`` pixels from x on, ``squares`` that of running sums.  The
+    last block of a row ends with the row and may overlap the one before: those pixels are computed twice,
+    with the same result.
     """
     vec_pixels = vector(block, dtype)
-    vec_angles = vector(ANGLES, dtype)
+    vec_terms = vector(TERMS, dtype)
 
     @wp.kernel(module=module_of(f"templates_{block}", dtype))
-    def correlate_templates(
+    def correlate_basis(
         pixels: wp.array3d(dtype=vec_pixels),
-        bank: wp.array2d(dtype=vec_angles),
-        disc: wp.array2d(dtype=dtype),
+        basis: wp.array2d(dtype=vec_terms),
+        spans: wp.array2d(dtype=wp.int32),
+        squares: wp.array3d(dtype=vec_pixels),
         floor: wp.array(dtype=dtype),
+        sums_out: wp.array4d(dtype=vec_pixels),
+    ):
+        b, y, k = wp.tid()
+        x = wp.min(block * k, sums_out.shape[3] - 1)
+        size = spans.shape[0]
+        energy = vec_pixels()
+        for j in range(size):
+            energy += squares[b, y + j, x + spans[j, 1]] - squares[b, y + j, x + spans[j, 0]]
+        sums_out[b, TERMS, y, x] = energy
+        if not wp.max(energy) > floor[b]:
+            return
+        s0 = vec_pixels()
+        s1 = vec_pixels()
+        s2 = vec_pixels()
+        s3 = vec_pixels()
+        s4 = vec_pixels()
+        for j in range(size):
+            for i in range(size):
+                v = pixels[b, y + j, x + i]
+                term = basis[j, i]
+                s0 += term[0] * v
+                s1 += term[1] * v
+                s2 += term[2] * v
+                s3 += term[3] * v
+                s4 += term[4] * v
+        sums_out[b, 0, y, x] = s0
+        sums_out[b, 1, y, x] = s1
+        sums_out[b, 2, y, x] = s2
+        sums_out[b, 3, y, x] = s3
+        sums_out[b, 4, y, x] = s4
+
+    return correlate_basis
+
+
+@cache
+def make_best_template(dtype: type) -> wp.Kernel:
+    """Build the choice of the best template; launch: one thread per row.
+
+    A kernel of its own: behind the correlation it would take the registers that its sums need.
+    """
+    vec_terms = vector(TERMS, dtype)
+
+    @wp.kernel(module=module_of("templates", dtype))
+    def best_template(
+        sums: wp.array4d(dtype=dtype),
+        mix: wp.array(dtype=vec_terms),
+        floor: wp.array(dtype=dtype),
+        least: dtype,
         response_out: wp.array3d(dtype=dtype),
         angle_out: wp.array3d(dtype=wp.int32),
     ):
-        b, y, k = wp.tid()
-        x = wp.min(block * k, response_out.shape[2] - block)
-        # equal to block, which the compiler does not know: unrolled sixteen times, the end of the kernel
-        # spoils its middle
-        count = wp.min(block, response_out.shape[2] - x)
-        size = disc.shape[0]
-        for p in range(count):
-            response_out[b, y, x + p] = dtype(0.0)
-            angle_out[b, y, x + p] = 0
+        b, y = wp.tid()
+        for x in range(response_out.shape[2]):
+            best = dtype(0.0)
+            angle = wp.int32(0)
+            energy = sums[b, TERMS, y, x]
+            if energy > floor[b]:
+                here = vec_terms(
+                    sums[b, 0, y, x], sums[b, 1, y, x], sums[b, 2, y, x], sums[b, 3, y, x], sums[b, 4, y, x]
+                )
+                weakest = least * least * (energy + floor[b])
+                if wp.dot(here, here) >= weakest:  # no template answers more than this
+                    for a in range(mix.shape[0]):
+                        value = wp.dot(mix[a], here)
+                        if wp.abs(value) > wp.abs(best):
+                            best = value
+                            angle = a
+                    if best * best < weakest:
+                        best = dtype(0.0)
+                        angle = 0
+                    best /= wp.sqrt(energy + floor[b])
+            response_out[b, y, x] = best
+            angle_out[b, y, x] = angle
 
-        # most of an image of events is empty: a bound that costs little, then the energy itself
-        under_block = vec_pixels()
-        for j in range(size):
-            for i in range(0, size - 1 + block, block):
-                v = pixels[b, y + j, x + wp.min(i, size - 1)]
-                under_block += wp.cw_mul(v, v)
-        bound = dtype(0.0)
-        for p in range(block):
-            bound += under_block[p]
-        if bound < floor[b]:
-            return
-        energy = vec_pixels()
-        for j in range(size):
-            for i in range(size):
-                v = pixels[b, y + j, x + i]
-                energy += disc[j, i] * wp.cw_mul(v, v)
-        if wp.max(energy) < floor[b]:
-            return
-
-        r0 = vec_pixels()
-        r1 = vec_pixels()
-        r2 = vec_pixels()
-        r3 = vec_pixels()
-        r4 = vec_pixels()
-        r5 = vec_pixels()
-        r6 = vec_pixels()
-        r7 = vec_pixels()
-        for j in range(size):
-            for i in range(size):
-                v = pixels[b, y + j, x + i]
-                template = bank[j, i]
-                r0 += template[0] * v
-                r1 += template[1] * v
-                r2 += template[2] * v
-                r3 += template[3] * v
-                r4 += template[4] * v
-                r5 += template[5] * v
-                r6 += template[6] * v
-                r7 += template[7] * v
-        for p in range(count):
-            if energy[p] >= floor[b]:
-                every = vec_angles(r0[p], r1[p], r2[p], r3[p], r4[p], r5[p], r6[p], r7[p])
-                best = every[0]
-                angle = wp.int32(0)
-                for a in range(1, wp.static(ANGLES)):
-                    if wp.abs(every[a]) > wp.abs(best):
-                        best = every[a]
-                        angle = a
-                response_out[b, y, x + p] = best / wp.sqrt(energy[p] + floor[b])
-                angle_out[b, y, x + p] = angle
-
-    return correlate_templates
+    return best_template
 
 
-def correlate_templates(image, bank, disc, floor, response_out, angle_out) -> None:
-    """Launch; overwrites."""
+def correlate_templates(
+    image, basis, mix, spans, quiet: float, least: float, squares_out, counts_out, floor_out, sums_out,
+    response_out, angle_out,
+) -> None:  # fmt: skip
+    """Launch the running sums, the floor, the correlation and the choice; overwrites."""
+    dtype, device = image.dtype, image.device
     batch, height, width = response_out.shape
-    block = block_of(image.device, width)
-    wp.launch(
-        make_correlate_templates(image.dtype, block),
+    launch(
+        make_running_squares(dtype),
+        image.shape[:2],
+        inputs=[image],
+        outputs=[squares_out, counts_out],
+        device=device,
+    )
+    launch(
+        make_quiet_floor(dtype),
+        batch,
+        inputs=[squares_out, counts_out, spans, quiet],
+        outputs=[floor_out],
+        device=device,
+    )
+    block = block_of(device, width)
+    launch(
+        make_correlate_basis(dtype, block),
         (batch, height, -(-width // block)),
-        inputs=[neighbours(image, block), last_axis_as_vector(bank), disc, floor],
+        inputs=[
+            neighbours(image, block),
+            last_axis_as_vector(basis),
+            spans,
+            neighbours(squares_out, block),
+            floor_out,
+        ],
+        outputs=[neighbours(sums_out, block)],
+        device=device,
+    )
+    launch(
+        make_best_template(dtype),
+        (batch, height),
+        inputs=[sums_out, last_axis_as_vector(mix), floor_out, least],
         outputs=[response_out, angle_out],
-        device=image.device,
+        device=device,
     )

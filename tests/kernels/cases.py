@@ -98,11 +98,27 @@ def lag_operator_adjoint(rng, dtype):
     return Call("lag_operator_adjoint", inputs, outputs, scratch=1)
 
 
-def motion_correlation(rng, dtype, radius=5):
-    first, second = (rng.normal(size=(B, Y, X)) * (rng.random((B, Y, X)) < 0.3) for _ in range(2))
+def motion_correlation(rng, dtype, radius=5, shape=(Y, X)):
+    images = 2.0 * rng.normal(size=(B, 2, *shape)) * (rng.random((B, 2, *shape)) < 0.3)
     shifts = 2 * radius + 1
-    outputs = [filled((B, Y, shifts, shifts), dtype), filled((B, shifts, shifts), dtype)]
-    return Call("motion_correlation", [first.astype(dtype), second.astype(dtype), radius], outputs, scratch=1)
+    rows = filled((B, shape[0], shifts, -(-shifts // 16) * 16), dtype)
+    outputs = [np.full((B, *shape), -1, np.int32), rows, filled((B, shape[0], 2), dtype)]
+    outputs += [filled((B, shifts, shifts), dtype), filled((B, 2), dtype)]
+    return Call("motion_correlation", [images.astype(dtype), 2.0, radius], outputs, scratch=3)
+
+
+def surface_peak(rng, dtype, size=11):
+    smoother = np.exp(-0.5 * (np.subtract.outer(np.arange(size), np.arange(size)) / 1.5) ** 2)
+    surface = rng.normal(size=(B, size, size))
+    outputs = [filled((B, size, size), dtype), filled((B, size, size), dtype), filled((B, 3), dtype)]
+    return Call("surface_peak", [surface.astype(dtype), smoother.astype(dtype)], outputs, scratch=1)
+
+
+def clip_outliers(rng, dtype):
+    image = rng.normal(size=(B, Y, X)) ** 3 * (rng.random((B, Y, X)) < 0.5)
+    image[1] = 0
+    outputs = [filled((B, Y, 2), dtype), filled(B, dtype), filled((B, Y, X), dtype)]
+    return Call("clip_outliers", [image.astype(dtype), 1.7], outputs, scratch=1)
 
 
 def reduce_image(rng, dtype):
@@ -115,11 +131,60 @@ def correlate_templates(rng, dtype, width=24, n=5):
     image = rng.normal(size=(B, Y + n - 1, width + n - 1)) * (rng.random((B, 1, width + n - 1)) < 0.8)
     image[1, :, : width // 2] = 0
     g = np.arange(n) - n // 2
-    disc = ((g[:, None] ** 2 + g**2) <= (n // 2) ** 2).astype(dtype)
-    bank = rng.normal(size=(n, n, 8)) * disc[..., None]
-    inputs = [image.astype(dtype), bank.astype(dtype), disc, np.array([4.0, 2.0, 30.0], dtype)]
-    outputs = [filled((B, Y, width), dtype), np.full((B, Y, width), -1, np.int32)]
-    return Call("correlate_templates", inputs, outputs)
+    disc = (g[:, None] ** 2 + g**2) <= (n // 2) ** 2
+    spans = np.array([(row.argmax(), n - row[::-1].argmax()) for row in disc], np.int32)
+    basis, _ = np.linalg.qr((rng.normal(size=(n, n, 5)) * disc[..., None]).reshape(-1, 5))
+    mix = rng.normal(size=(8, 5))
+    mix /= np.linalg.norm(mix, axis=1, keepdims=True)
+    inputs = [image.astype(dtype), basis.reshape(n, n, 5).astype(dtype), mix.astype(dtype), spans, 0.7, 0.2]
+    outputs = [filled((B, Y + n - 1, width + n), dtype), filled((B, Y + n - 1), dtype), filled(B, dtype)]
+    outputs += [filled((B, 6, Y, width), dtype), filled((B, Y, width), dtype)]
+    outputs += [np.full((B, Y, width), -1, np.int32)]
+    return Call("correlate_templates", inputs, outputs, scratch=4)
+
+
+def local_maxima(rng, dtype, most=3):
+    response = rng.uniform(-1, 1, (B, Y, X)).astype(dtype)
+    response[0, 5:8, 5:8] = 0.99  # a plateau: all of it counts
+    angle = rng.integers(0, 8, (B, Y, X)).astype(np.int32)
+    return Call("local_maxima", [response, angle, 0.3, 2.5, 3.125, 0.2], [filled((B, Y, most, 5), dtype)])
+
+
+def merge_maxima(rng, dtype, count=60, keep=9):
+    maxima = np.stack(
+        [
+            rng.uniform(-1, 1, (B, count)),
+            rng.uniform(0, 60, (B, count)),
+            rng.uniform(0, 60, (B, count)),
+            rng.choice([4.0, 5.0, 6.1], (B, count)),
+            rng.uniform(0, 1.5, (B, count)),
+        ],
+        axis=-1,
+    )
+    maxima[rng.random((B, count)) < 0.3] = 0
+    maxima[1, 4:] = 0  # fewer than are kept
+    outputs = [filled((B, count), dtype), np.full((B, count), -1, np.int32), filled((B, keep, 5), dtype)]
+    return Call("merge_maxima", [maxima.astype(dtype), 2.0, 0.3], outputs, scratch=2)
+
+
+def match_corners(rng, dtype, count=12, most=3):
+    """Corners of a code, moved a little, among others; the last rows are empty."""
+    turn = 0.4
+    u, v = np.array([np.cos(turn), np.sin(turn)]), np.array([-np.sin(turn), np.cos(turn)])
+    peaks = np.zeros((B, count, 5))
+    for b in range(B):
+        legs = 4.0 * (14 + 4 * b)
+        corner = np.array([90.0, 80.0])
+        places = [corner, corner + legs * u, corner + legs * v, corner + legs * (u + v)]
+        places += list(rng.uniform(0, 200, (4, 2)))
+        peaks[b, :8, 1:3] = np.array(places) + rng.normal(size=(8, 2))
+    peaks[:, :8, 0] = rng.uniform(0.3, 1, (B, 8)) * np.where(np.arange(B) == 1, -1, 1)[:, None]
+    peaks[:, :8, 3] = 4.0 * np.exp(rng.uniform(-0.05, 0.05, (B, 8)))
+    peaks[:, :8, 4] = turn + rng.uniform(-0.05, 0.05, (B, 8))
+    tolerances = np.array([0.2, 0.16, 0.24, np.log(14.0), np.log(170.0)])
+    outputs = [np.full((B, count, count), -1, np.int32), filled((B, count, count, 3), dtype)]
+    outputs += [filled((B, count, most, 4), dtype)]
+    return Call("match_corners", [peaks.astype(dtype), tolerances.astype(dtype)], outputs, scratch=2)
 
 
 def moment_inputs(rng, dtype, samples=700, columns=5, count=4):
@@ -215,8 +280,13 @@ CALLS = [
     lag_operator,
     lag_operator_adjoint,
     motion_correlation,
+    surface_peak,
+    clip_outliers,
     reduce_image,
     correlate_templates,
+    local_maxima,
+    merge_maxima,
+    match_corners,
     sample_moments,
     sample_moments_adjoint,
     code_rhs,

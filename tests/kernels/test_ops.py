@@ -18,6 +18,7 @@ def f32(*shape):
 
 
 PTR = np.array([0, 4, E], np.int32)
+SPANS = np.array([[0, 5]] * 5, np.int32)
 TABLE = np.eye(20, 4, dtype=np.float32)
 TERMS = np.zeros((8, 4), np.int32), np.full((8, 4), 3, np.int32)
 
@@ -35,9 +36,17 @@ GOOD = {
         [np.zeros(3, np.int32), f32(3, 2), f32(3, 2), f32(2, 5) + 1, f32(3, Y, X) + 1],
         {"deposits": B},
     ),
-    "motion_correlation": ([f32(B, Y, X), f32(B, Y, X)], {"radius": 2}),
+    "motion_correlation": ([f32(B, 2, Y, X)], {"radius": 2, "clip": 1.0}),
+    "surface_peak": ([f32(B, 5, 5), np.eye(5, dtype=np.float32)], {}),
+    "clip_outliers": ([f32(B, Y, X)], {"factor": 2.0}),
     "reduce_image": ([f32(B, Y, X)], {"ratio": 1.5}),
-    "correlate_templates": ([f32(B, Y, X), f32(5, 5, 8), f32(5, 5), f32(B) + 1], {}),
+    "correlate_templates": ([f32(B, Y, X), f32(5, 5, 5), f32(8, 5), SPANS], {"quiet": 0.5}),
+    "local_maxima": (
+        [f32(B, Y, X), np.zeros((B, Y, X), np.int32)],
+        {"least": 0.1, "cell": 2.0, "size": 4.0, "turn": 0.2},
+    ),
+    "merge_maxima": ([f32(B, 9, 5)], {"apart": 2.0, "log_ratio": 0.3, "most": 4}),
+    "match_corners": ([f32(B, 6, 5), f32(5)], {}),
     "sample_moments": ([f32(B, Y, X), np.zeros(3, np.int32), f32(3, 9), f32(20, 2), f32(20, 4)], {}),
     "sample_moments_adjoint": (
         [f32(B, Y, X), np.zeros(3, np.int32), f32(3, 9), f32(20, 2), f32(20, 4), f32(3, 5)],
@@ -83,7 +92,10 @@ def test_good_arguments_pass_on_every_backend(op, name):
         np.testing.assert_allclose(one, other, atol=1e-6)
 
 
-@pytest.mark.parametrize("op", sorted(set(OPS) - {"solve_code", "align_poses", "correlate_templates"}))
+@pytest.mark.parametrize(
+    "op",
+    sorted(set(OPS) - {"solve_code", "align_poses", "correlate_templates", "surface_peak", "clip_outliers"}),
+)
 def test_results_are_those_of_the_backend(op, rng, spec):
     """The function allocates and passes on: the same numbers as the method of the specification."""
     made = getattr(cases, op)(rng, np.float64)
@@ -95,8 +107,13 @@ def test_results_are_those_of_the_backend(op, rng, spec):
         "bin_events": {"reduction": 2.0},
         "reduce_image": {"ratio": 1.25},
         "code_rhs": {"samples_a_module": 3},
+        "motion_correlation": {"radius": 5, "clip": 2.0},
+        "clip_outliers": {"factor": 1.7},
+        "local_maxima": {"least": 0.3, "cell": 2.5, "size": 3.125, "turn": 0.2, "most": 3},
+        "merge_maxima": {"apart": 2.0, "log_ratio": 0.3, "most": 9},
+        "match_corners": {"most": 3},
     }
-    options = options.get(op, {"radius": 5} if op == "motion_correlation" else {})
+    options = options.get(op, {})
     if op.startswith("splat"):
         options = {"lag": arrays.pop(6), "frame": arrays.pop(6)}
     if op.startswith("deposit"):
@@ -205,16 +222,26 @@ BAD = [
     ("lag_operator_adjoint", {"deposits": -1}, ValueError, "deposits must be at least 0, got -1"),
     ("lag_operator_adjoint", {"arg0": PTR}, ValueError, "deposit_idx must be 0 to 1, got 0 to 10"),
     ("motion_correlation", {"radius": -1}, ValueError, "radius must be at least 0, got -1"),
-    ("motion_correlation", {"arg1": f32(B, Y, X + 1)}, ValueError, "B = 2, Y = 9, X = 12, got (2, 9, 13)"),
+    ("motion_correlation", {"arg0": f32(B, 3, Y, X)}, ValueError, "images must have shape (B, 2, Y, X)"),
+    ("motion_correlation", {"clip": -1.0}, ValueError, "clip must be at least 0.0, got -1.0"),
+    ("surface_peak", {"arg0": f32(B, 4, 4), "arg1": f32(4, 4)}, ValueError, "odd size of at least 3, got 4"),
+    ("surface_peak", {"arg1": f32(5, 4)}, ValueError, "smoother must have shape (N, N) with N = 5"),
+    ("clip_outliers", {"factor": -0.5}, ValueError, "factor must be at least 0.0, got -0.5"),
+    ("local_maxima", {"arg0": f32(B, 2, X), "arg1": np.zeros((B, 2, X), np.int32)}, ValueError, "at least 3"),
+    ("local_maxima", {"most": 0}, ValueError, "most must be at least 1, got 0"),
+    ("merge_maxima", {"arg0": f32(B, 9, 4)}, ValueError, "maxima must have shape (B, N, 5)"),
+    ("match_corners", {"arg1": f32(4)}, ValueError, "tolerances must have shape (5,), got (4,)"),
     ("reduce_image", {"ratio": 0.5}, ValueError, "ratio must be at least 1.0, got 0.5"),
     ("reduce_image", {"ratio": float("nan")}, ValueError, "ratio must be at least 1.0, got nan"),
-    ("correlate_templates", {"arg1": f32(5, 5, 7)}, ValueError, "bank must have shape (N, N, 8) with N = 5"),
+    ("correlate_templates", {"arg1": f32(5, 5, 7)}, ValueError, "basis must have shape (N, N, 5) with N = 5"),
+    ("correlate_templates", {"arg3": SPANS[:4]}, ValueError, "spans must have shape (N, 2) with N = 5"),
     (
         "correlate_templates",
-        {"arg2": f32(5, 4)},
+        {"arg3": SPANS + 1},
         ValueError,
-        "disc must have shape (N, N) with N = 5, got (5, 4)",
+        "spans must be 0 to 5 and not decrease, got 1 to 6",
     ),
+    ("correlate_templates", {"quiet": -1.0}, ValueError, "quiet must be at least 0.0, got -1.0"),
     (
         "sample_moments",
         {"arg1": np.array([0, 1, 2], np.int32)},

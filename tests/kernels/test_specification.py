@@ -50,8 +50,9 @@ def test_templates_at_any_width(width, placed, spec, dtype, rng):
 
 
 @pytest.mark.parametrize("radius", [0, 1, 3, 8, 30])
-def test_correlation_at_any_radius(radius, placed, spec, dtype, rng):
-    call = cases.motion_correlation(rng, dtype, radius=radius)
+@pytest.mark.parametrize("shape", [(23, 31), (5, 9), (40, 90)])
+def test_correlation_at_any_radius(radius, shape, placed, spec, dtype, rng):
+    call = cases.motion_correlation(rng, dtype, radius=radius, shape=shape)
     for got, want in zip(call.run(placed), call.run(spec), strict=True):
         assert_close(got, want)
 

@@ -17,7 +17,12 @@ def look(made, workspace):
     truth = made.truth["truth"]
     velocity = at(truth, "velocity", middle_us(made))
     peaks, pyramid = find_peaks(window_of(made), velocity, CONFIG, workspace=workspace)
-    return peaks, find_hypotheses(peaks, CONFIG), at(truth, "H", middle_us(made)), pyramid
+    return (
+        peaks,
+        find_hypotheses(peaks, CONFIG, workspace=workspace),
+        at(truth, "H", middle_us(made)),
+        pyramid,
+    )
 
 
 def of_finders(peaks, pose, size, module_px):
@@ -80,7 +85,7 @@ def test_results_are_in_order_and_within_their_limits(workspace):
     peaks, hypotheses, _, pyramid = look(scene(), workspace)
     strength = np.abs(peaks.response)
     assert (np.diff(strength) <= 0).all()
-    assert len(strength) <= CONFIG.max_peaks
+    assert len(strength) <= CONFIG.looks[-1].peaks
     assert (strength >= CONFIG.min_response).all()
     assert strength.max() <= 1.0 + 1e-3
     assert ((peaks.angle >= 0.0) & (peaks.angle < np.pi / 2)).all()
@@ -120,10 +125,10 @@ def _ideal(version, angle_deg, module_px):
 
 @pytest.mark.parametrize("version", [1, 2, 6, 13, 25, 40])
 @pytest.mark.parametrize("angle", [0.0, 33.0, 90.0, -140.0])
-def test_three_ideal_peaks_make_the_code(version, angle):
+def test_three_ideal_peaks_make_the_code(version, angle, workspace):
     position, axes = _ideal(version, angle, 4.0)
     peaks = Peaks(np.array([0.9, 0.8, 0.7]), position, np.full(3, 4.0), np.full(3, np.deg2rad(angle % 90)))
-    hypotheses = find_hypotheses(peaks, CONFIG)
+    hypotheses = find_hypotheses(peaks, CONFIG, workspace=workspace)
     # large versions differ by less than the tolerance of a pattern's size
     (right,) = [h for h in hypotheses if h.version == version]
     np.testing.assert_allclose(right.pose[:2, :2], axes, atol=1e-9)
@@ -144,22 +149,22 @@ def test_three_ideal_peaks_make_the_code(version, angle):
     ],
     ids=["signs", "sizes", "angles", "legs", "corner"],
 )
-def test_three_peaks_that_do_not_fit_make_none(wrong):
+def test_three_peaks_that_do_not_fit_make_none(wrong, workspace):
     ideal = {
         "response": np.array([0.9, 0.8, 0.7]),
         "position": _ideal(2, 0.0, 4.0)[0],
         "module_px": np.full(3, 4.0),
         "angle": np.zeros(3),
     }
-    assert find_hypotheses(Peaks(**ideal), CONFIG)
-    assert not find_hypotheses(Peaks(**(ideal | wrong)), CONFIG)
+    assert find_hypotheses(Peaks(**ideal), CONFIG, workspace=workspace)
+    assert not find_hypotheses(Peaks(**(ideal | wrong)), CONFIG, workspace=workspace)
 
 
 @pytest.mark.parametrize("count", [0, 1, 2])
-def test_fewer_than_three_peaks_make_none(count):
+def test_fewer_than_three_peaks_make_none(count, workspace):
     position = _ideal(2, 0.0, 4.0)[0][:count]
     peaks = Peaks(np.full(count, 0.9), position, np.full(count, 4.0), np.zeros(count))
-    assert find_hypotheses(peaks, CONFIG) == []
+    assert find_hypotheses(peaks, CONFIG, workspace=workspace) == []
 
 
 def test_an_empty_window_has_no_peaks(workspace):

@@ -77,10 +77,13 @@ def test_more_travel_than_the_fine_look_reaches(workspace):
 def test_the_sign_comes_from_the_order_of_time(workspace):
     made, velocity = small(direction=50.0)
     window = window_of(made)
+    e = window.events
+    t = window.start_us + window.end_us - e.t
     backwards = Window(
-        window.x[::-1], window.y[::-1], -window.t[::-1], -window.p[::-1],
-        window.start_us, window.end_us, window.width, window.height,
-    )  # fmt: skip
+        EventArray(t[::-1], e.x[::-1], e.y[::-1], -e.p[::-1], e.width, e.height),
+        window.start_us,
+        window.end_us,
+    )
     assert_close(estimate_motion(window, CONFIG, workspace=workspace), velocity)
     assert_close(estimate_motion(backwards, CONFIG, workspace=workspace), -velocity)
 
@@ -88,9 +91,8 @@ def test_the_sign_comes_from_the_order_of_time(workspace):
 def test_contrast_of_the_other_sign_changes_nothing(workspace):
     made, _ = small(direction=50.0)
     window = window_of(made)
-    other = Window(
-        window.x, window.y, window.t, -window.p, window.start_us, window.end_us, window.width, window.height
-    )
+    e = window.events
+    other = Window(EventArray(e.t, e.x, e.y, -e.p, e.width, e.height), window.start_us, window.end_us)
     ours, theirs = (estimate_motion(w, CONFIG, workspace=workspace) for w in (window, other))
     np.testing.assert_allclose(ours.velocity, theirs.velocity, rtol=1e-6)
     assert ours.peak == pytest.approx(theirs.peak)

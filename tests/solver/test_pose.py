@@ -16,7 +16,11 @@ def searched(made, workspace):
     truth = made.truth["truth"]
     velocity = at(truth, "velocity", middle_us(made))
     peaks, pyramid = find_peaks(window_of(made), velocity, FinderConfig(), workspace=workspace)
-    return pyramid, find_hypotheses(peaks, FinderConfig()), at(truth, "H", middle_us(made))
+    return (
+        pyramid,
+        find_hypotheses(peaks, FinderConfig(), workspace=workspace),
+        at(truth, "H", middle_us(made)),
+    )
 
 
 def modules_off(candidate, pose, size, module_px):

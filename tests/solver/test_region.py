@@ -7,6 +7,7 @@ from scenes import scene, window_of
 from evqr.config import StageOneConfig
 from evqr.model import QUIET_MODULES
 from evqr.region import Region, deposit, module_px, outline, region_around, sharpen
+from evqr.types import EventArray
 from evqr.windows import Window
 
 CONFIG = StageOneConfig()
@@ -19,9 +20,9 @@ AT_REST = np.zeros(2)
 
 
 def window_with(x, y, t, p, seconds=1e-3):
-    columns = (np.array(c, np.float32) for c in (x, y, t, p))
     half = round(seconds * 5e5)
-    return Window(*columns, 1000 - half, 1000 + half, 320, 240)
+    columns = (np.array(c, np.float32) for c in (1000.0 + 1e6 * np.array(t), x, y, p))
+    return Window(EventArray(*columns, 320, 240), 1000 - half, 1000 + half)
 
 
 def centre_of(image):

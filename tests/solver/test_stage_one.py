@@ -1,11 +1,13 @@
 """Stage one: from a rough pose to the true one, and the gain that goes with it."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from scenes import moved, scene
 
 from evqr.config import StageOneConfig
-from evqr.stage_one import Level, align, coarse_levels, fine_levels, refine_from_cold, shifted
+from evqr.stage_one import align, coarse_levels, fine_levels, refine_from_cold, shifted
 
 CONFIG = StageOneConfig()
 
@@ -229,7 +231,7 @@ def test_perspective_is_found_from_an_affine_start(tilt, workspace, see):
     start = (seen.region.from_px @ flat)[None]
     found = align(seen.image, start, 2, ALL_LEVELS, CONFIG, workspace=workspace)
     assert seen.modules_off(found.pose[0]) < 0.1
-    affine = (*coarse_levels(CONFIG), Level(sigma=CONFIG.sigma, samples=CONFIG.samples, tilt=False))
+    affine = (*coarse_levels(CONFIG), replace(fine_levels(CONFIG)[0], tilt=False))
     without = align(seen.image, start, 2, affine, CONFIG, workspace=workspace)
     np.testing.assert_allclose(without.pose[0, 2], [0.0, 0.0, 1.0])
     assert seen.modules_off(without.pose[0]) > seen.modules_off(found.pose[0])

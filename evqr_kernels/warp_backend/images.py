@@ -1,0 +1,141 @@
+"""Images made ready for a search: outliers clipped, resolution reduced.
+
+``clip_outliers``: values beyond ``factor`` times the mean magnitude of those that are not 0 are clipped: a
+pixel that fires all the time is no edge.
+
+``reduce_image``: sum over a coarser grid: the pixel of the coarse image covers ``ratio`` x ``ratio`` fine
+pixels, with fractional coverage at its borders.
+"""
+
+from functools import cache
+
+import warp as wp
+
+from evqr_kernels.warp_backend.language import launch, module_of, neighbours, vector
+
+SPAN = 16
+"""Neighbouring fine pixels that a reduction adds up together."""
+
+
+@cache
+def make_measure_rows(dtype: type) -> wp.Kernel:
+    """Build the first pass of clipping; launch: one thread per row."""
+
+    @wp.kernel(module=module_of("images", dtype))
+    def measure_rows(
+        image: wp.array3d(dtype=dtype),
+        rows_out: wp.array3d(dtype=dtype),
+    ):
+        b, y = wp.tid()
+        total = dtype(0.0)
+        count = wp.int32(0)
+        for x in range(image.shape[2]):
+            value = image[b, y, x]
+            total += wp.abs(value)
+            count += wp.where(value != dtype(0.0), 1, 0)
+        rows_out[b, y, 0] = total
+        rows_out[b, y, 1] = dtype(count)
+
+    return measure_rows
+
+
+@cache
+def make_limit(dtype: type) -> wp.Kernel:
+    """Build the second pass; launch: one thread per image."""
+
+    @wp.kernel(module=module_of("images", dtype))
+    def limit(
+        rows: wp.array3d(dtype=dtype),
+        factor: dtype,
+        limit_out: wp.array(dtype=dtype),
+    ):
+        b = wp.tid()
+        total = dtype(0.0)
+        count = dtype(0.0)
+        for y in range(rows.shape[1]):
+            total += rows[b, y, 0]
+            count += rows[b, y, 1]
+        limit_out[b] = factor * total / wp.max(count, dtype(1.0))
+
+    return limit
+
+
+@cache
+def make_clip_rows(dtype: type) -> wp.Kernel:
+    """Build the third pass; launch: one thread per row."""
+
+    @wp.kernel(module=module_of("images", dtype))
+    def clip_rows(
+        image: wp.array3d(dtype=dtype),
+        limit: wp.array(dtype=dtype),
+        image_out: wp.array3d(dtype=dtype),
+    ):
+        b, y = wp.tid()
+        high = limit[b]
+        for x in range(image.shape[2]):
+            image_out[b, y, x] = wp.clamp(image[b, y, x], -high, high)
+
+    return clip_rows
+
+
+def clip_outliers(image, factor: float, rows_out, limit_out, image_out) -> None:
+    """Launch the three passes; overwrites."""
+    dtype, device = image.dtype, image.device
+    rows = image.shape[:2]
+    launch(make_measure_rows(dtype), rows, inputs=[image], outputs=[rows_out], device=device)
+    launch(make_limit(dtype), rows[0], inputs=[rows_out, factor], outputs=[limit_out], device=device)
+    launch(make_clip_rows(dtype), rows, inputs=[image, limit_out], outputs=[image_out], device=device)
+
+
+@cache
+def make_reduce_image(dtype: type) -> wp.Kernel:
+    """Build the reduction; launch: one thread per coarse row, which it first adds up over fine rows."""
+    vec_block = vector(SPAN, dtype)
+
+    @wp.kernel(module=module_of("images", dtype))
+    def reduce_image(
+        image: wp.array3d(dtype=dtype),
+        image_blocks: wp.array3d(dtype=vec_block),
+        ratio: dtype,
+        rows_out: wp.array3d(dtype=dtype),
+        row_blocks_out: wp.array3d(dtype=vec_block),
+        image_out: wp.array3d(dtype=dtype),
+    ):
+        b, y = wp.tid()
+        one = dtype(1.0)
+        fine_width = image.shape[2]
+        top = dtype(y) * ratio
+        bottom = top + ratio
+        first = int(top)
+        last = wp.min(int(wp.ceil(bottom)), image.shape[1])
+        whole = fine_width - fine_width % SPAN
+        for x in range(0, whole, SPAN):
+            block = vec_block()
+            for j in range(first, last):
+                block += (wp.min(bottom, dtype(j) + one) - wp.max(top, dtype(j))) * image_blocks[b, j, x]
+            row_blocks_out[b, y, x] = block
+        for x in range(whole, fine_width):
+            total = dtype(0.0)
+            for j in range(first, last):
+                total += (wp.min(bottom, dtype(j) + one) - wp.max(top, dtype(j))) * image[b, j, x]
+            rows_out[b, y, x] = total
+        for x in range(image_out.shape[2]):
+            left = dtype(x) * ratio
+            right = left + ratio
+            total = dtype(0.0)
+            for i in range(int(left), wp.min(int(wp.ceil(right)), fine_width)):
+                total += (wp.min(right, dtype(i) + one) - wp.max(left, dtype(i))) * rows_out[b, y, i]
+            image_out[b, y, x] = total
+
+    return reduce_image
+
+
+def reduce_image(image, ratio: float, rows_out, image_out) -> None:
+    """Launch; overwrites."""
+    launch(
+        make_reduce_image(image.dtype),
+        image_out.shape[:2],
+        inputs=[image, neighbours(image, SPAN), ratio],
+        outputs=[rows_out, neighbours(rows_out, SPAN), image_out],
+        device=image.device,
+    )
