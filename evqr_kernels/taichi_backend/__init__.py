@@ -149,30 +149,30 @@ class TaichiBackend:
 
 
 def _kernels(kernels: KernelSet) -> list[Any]:
-    """List the kernels that reading a code launches."""
+    """List the kernels that reading a code, one window at a time, launches."""
     f32 = ti.f32
     on_cpu = runtime.running_on() == "cpu"
     return [
-        splat.make_bin_events(f32, not on_cpu),
-        lag.make_deposit_events(f32, not on_cpu),
+        splat.make_bin_events(f32, not on_cpu, False),
+        lag.make_deposit_events(f32, not on_cpu, on_cpu),
         lag.make_lag_rows(f32, TAPS),
         lag.make_lag_columns(f32, TAPS),
         motion.make_clip_rows(f32),
         motion.make_correlate_rows(f32),
         motion.make_add_rows(f32),
-        motion.make_surface_peak(f32),
+        motion.make_surface_peak(f32, True),
         images.make_measure_rows(f32),
-        images.make_limit(f32),
+        images.make_limit(f32, True),
         images.make_clip_rows(f32),
         images.make_reduce_image(f32),
         templates.make_running_squares(f32),
-        templates.make_quiet_floor(f32),
+        templates.make_quiet_floor(f32, True),
         templates.make_correlate_basis(f32),
         templates.make_best_template(f32),
         peaks.make_local_maxima(f32),
-        peaks.make_merge_maxima(f32),
+        peaks.make_merge_maxima(f32, True),
         peaks.make_match_corners(f32),
-        align.make_align_poses(f32, kernels.table_columns),
+        align.make_align_poses(f32, kernels.table_columns, True),
         code.make_sample_rows(f32),
         code.make_fold_columns(f32),
         *solve.make_kernels(f32, on_cpu),

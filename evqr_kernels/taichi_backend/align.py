@@ -27,7 +27,7 @@ def solve_positive(a, b, n):
 
 
 @cache
-def make_align_poses(dtype, columns: int):
+def make_align_poses(dtype, columns: int, alone: bool):
     """Build the kernel for a table of ``columns`` functions; one thread per pose."""
     bilinear = make_bilinear(dtype)
     project = make_project(dtype)
@@ -65,6 +65,7 @@ def make_align_poses(dtype, columns: int):
         pose_inout: array(dtype, 2),
         result_out: array(dtype, 2),
     ):
+        ti.loop_config(serialize=alone)
         for h in range(pose_inout.shape[0]):
             b = image_idx[h]
             centre = settings[0]
@@ -167,7 +168,7 @@ def align_poses(
 ) -> None:
     """Launch; overwrites the results."""
     launch(
-        make_align_poses(float_of(image), table.shape[1]),
+        make_align_poses(float_of(image), table.shape[1], pose_inout.shape[0] == 1),
         *(image, image_idx, points, table, gram, terms, factors, settings, max_iterations),
         *(pose_inout, result_out),
     )

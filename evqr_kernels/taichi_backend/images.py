@@ -25,11 +25,12 @@ def make_measure_rows(dtype):
 
 
 @cache
-def make_limit(dtype):
+def make_limit(dtype, alone: bool):
     """Build the second pass; one thread per image."""
 
     @ti.kernel
     def limit(rows: array(dtype, 3), factor: dtype, limit_out: array(dtype, 1)):
+        ti.loop_config(serialize=alone)
         for b in range(limit_out.shape[0]):
             total = dtype(0.0)
             count = dtype(0.0)
@@ -59,7 +60,7 @@ def clip_outliers(image, factor: float, rows_out, limit_out, image_out) -> None:
     """Launch the three passes; overwrites."""
     dtype = float_of(image)
     launch(make_measure_rows(dtype), image, rows_out)
-    launch(make_limit(dtype), rows_out, factor, limit_out)
+    launch(make_limit(dtype, image.shape[0] == 1), rows_out, factor, limit_out)
     launch(make_clip_rows(dtype), image, limit_out, image_out)
 
 

@@ -2,12 +2,12 @@
 
 from functools import cache
 
-from evqr_kernels.taichi_backend.language import array, float_of, is_on_cpu, launch, ti
-from evqr_kernels.taichi_backend.splat import events_a_thread, make_add, make_transport
+from evqr_kernels.taichi_backend.language import array, float_of, launch, ti
+from evqr_kernels.taichi_backend.splat import events_a_thread, make_add, make_transport, owners
 
 
 @cache
-def make_deposit_events(dtype, shared: bool):
+def make_deposit_events(dtype, shared: bool, alone: bool):
     """Build the kernel; one thread per (window, chunk of the longest window)."""
     add = make_add(shared)
     transport = make_transport(dtype)
@@ -24,6 +24,7 @@ def make_deposit_events(dtype, shared: bool):
         chunk: ti.i32,
         deposit_out: array(dtype, 4),
     ):
+        ti.loop_config(serialize=alone)
         for b, k in ti.ndrange(motion.shape[0], (x.shape[0] + chunk - 1) // chunk):
             motion_x = motion[b, 0]
             motion_y = motion[b, 1]
@@ -55,7 +56,7 @@ def make_deposit_events(dtype, shared: bool):
 
 def deposit_events(x, y, t, weight, window_ptr, motion, frame, deposit_out) -> None:
     """Launch; accumulates.  Float atomics on GPUs: sums repeat to a tolerance there, not bit for bit."""
-    kernel = make_deposit_events(float_of(x), not is_on_cpu(x))
+    kernel = make_deposit_events(float_of(x), *owners(x, window_ptr))
     launch(kernel, x, y, t, weight, window_ptr, motion, frame, events_a_thread(x), deposit_out)
 
 

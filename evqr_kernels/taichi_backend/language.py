@@ -79,7 +79,11 @@ _recording = _Recording()
 
 
 def launch(kernel, *arguments) -> None:
-    """Launch a kernel, or note the launch down while this thread records."""
+    """Launch a kernel, or note the launch down while this thread records.
+
+    Kernels that have one thread a window take ``alone``, where there is one window: on the CPU it then runs
+    in the calling thread, which wakes no other.
+    """
     step = partial(_launch, kernel, arguments)
     if _recording.steps is None:
         step()

@@ -125,7 +125,7 @@ def motion_correlation(
 
 
 @cache
-def make_surface_peak(dtype):
+def make_surface_peak(dtype, alone: bool):
     """Build the search for the peak; one thread per surface, a few thousand multiply-adds."""
 
     @ti.kernel
@@ -136,6 +136,7 @@ def make_surface_peak(dtype):
         smooth_out: array(dtype, 3),
         peak_out: array(dtype, 2),
     ):
+        ti.loop_config(serialize=alone)
         for b in range(surface.shape[0]):
             size = surface.shape[1]
             for j in range(size):
@@ -197,4 +198,5 @@ def make_surface_peak(dtype):
 
 def surface_peak(surface, smoother, rows_out, smooth_out, peak_out) -> None:
     """Launch; overwrites."""
-    launch(make_surface_peak(float_of(surface)), surface, smoother, rows_out, smooth_out, peak_out)
+    kernel = make_surface_peak(float_of(surface), surface.shape[0] == 1)
+    launch(kernel, surface, smoother, rows_out, smooth_out, peak_out)

@@ -82,7 +82,7 @@ def local_maxima(response, angle, least: float, cell: float, size: float, turn: 
 
 
 @cache
-def make_merge_maxima(dtype):
+def make_merge_maxima(dtype, alone: bool):
     """Build the merging; one thread per window, which has a few hundred maxima to look through."""
     log = make_log(dtype)
 
@@ -95,6 +95,7 @@ def make_merge_maxima(dtype):
         index_out: array(ti.i32, 2),
         peaks_out: array(dtype, 3),
     ):
+        ti.loop_config(serialize=alone)
         for b in range(maxima.shape[0]):
             count = 0
             for k in range(maxima.shape[1]):
@@ -131,7 +132,7 @@ def make_merge_maxima(dtype):
 
 def merge_maxima(maxima, apart: float, log_ratio: float, strength_out, index_out, peaks_out) -> None:
     """Launch; overwrites."""
-    kernel = make_merge_maxima(float_of(maxima))
+    kernel = make_merge_maxima(float_of(maxima), maxima.shape[0] == 1)
     launch(kernel, maxima, apart, log_ratio, strength_out, index_out, peaks_out)
 
 

@@ -26,7 +26,7 @@ def make_stencil_at(dtype):
 
 
 @cache
-def make_solve_windows(dtype):
+def make_solve_windows(dtype, alone: bool):
     """Build the whole solution; one thread per window."""
     stencil_at = make_stencil_at(dtype)
 
@@ -44,6 +44,7 @@ def make_solve_windows(dtype):
         q_inout: array(dtype, 3),
         iterations_out: array(ti.i32, 1),
     ):
+        ti.loop_config(serialize=alone)
         for b in range(rhs.shape[0]):
             rows = free.shape[0]
             columns = free.shape[1]
@@ -98,7 +99,7 @@ def solve_windows(
     """Launch the CPU's variant; q is updated in place, the rest overwritten."""
     residual, direction, _, product, _, _ = scratch
     launch(
-        make_solve_windows(float_of(rhs)),
+        make_solve_windows(float_of(rhs), rhs.shape[0] == 1),
         *(rhs, stencil, damping, free, max_iterations, tolerance),
         *(residual, direction, product, q_inout, iterations_out),
     )
@@ -261,7 +262,9 @@ def solve_rows(
 def make_kernels(dtype, on_cpu: bool) -> list:
     """Build the kernels of the variant that suits the device."""
     return (
-        [make_solve_windows(dtype)] if on_cpu else [make_start(dtype), make_apply(dtype), make_update(dtype)]
+        [make_solve_windows(dtype, True)]
+        if on_cpu
+        else [make_start(dtype), make_apply(dtype), make_update(dtype)]
     )
 
 

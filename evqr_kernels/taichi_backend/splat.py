@@ -29,8 +29,14 @@ def events_a_thread(x) -> int:
     return max(x.shape[0], 1) if is_on_cpu(x) else CHUNK
 
 
+def owners(x, window_ptr) -> tuple[bool, bool]:
+    """Tell whether windows have several threads each, and whether there is one thread in all."""
+    on_cpu = is_on_cpu(x)
+    return not on_cpu, on_cpu and window_ptr.shape[0] == 2
+
+
 @cache
-def make_bin_events(dtype, shared: bool):
+def make_bin_events(dtype, shared: bool, alone: bool):
     """Build the binning kernel; one thread per (window, chunk of the longest window)."""
     add = make_add(shared)
 
@@ -44,6 +50,7 @@ def make_bin_events(dtype, shared: bool):
         chunk: ti.i32,
         image_out: array(dtype, 3),
     ):
+        ti.loop_config(serialize=alone)
         for b, k in ti.ndrange(image_out.shape[0], (x.shape[0] + chunk - 1) // chunk):
             right = dtype(image_out.shape[2])
             bottom = dtype(image_out.shape[1])
@@ -60,7 +67,7 @@ def make_bin_events(dtype, shared: bool):
 
 def bin_events(x, y, weight, window_ptr, reduction: float, image_out) -> None:
     """Launch; accumulates.  Float atomics on GPUs: sums repeat to a tolerance there, not bit for bit."""
-    kernel = make_bin_events(float_of(x), not is_on_cpu(x))
+    kernel = make_bin_events(float_of(x), *owners(x, window_ptr))
     launch(kernel, x, y, weight, window_ptr, 1.0 / reduction, events_a_thread(x), image_out)
 
 
@@ -112,7 +119,7 @@ def make_splat_taps(dtype, cfg: SplatConfig):
 
 
 @cache
-def make_splat_events(dtype, cfg: SplatConfig, shared: bool):
+def make_splat_events(dtype, cfg: SplatConfig, shared: bool, alone: bool):
     """Build the splat kernel for a precision and a shape of splat; one thread per (window, chunk)."""
     add = make_add(shared)
     reach = cfg.reach
@@ -134,6 +141,7 @@ def make_splat_events(dtype, cfg: SplatConfig, shared: bool):
         chunk: ti.i32,
         image_out: array(dtype, 3),
     ):
+        ti.loop_config(serialize=alone)
         for b, k in ti.ndrange(image_out.shape[0], (x.shape[0] + chunk - 1) // chunk):
             inverse_scale = dtype(1.0) / frame[b, 2]
             motion_x = motion[b, 0]
@@ -180,5 +188,5 @@ def make_splat_events(dtype, cfg: SplatConfig, shared: bool):
 
 def splat_events(x, y, t, weight, window_ptr, motion, lag, frame, image_out, cfg: SplatConfig) -> None:
     """Launch; accumulates.  Float atomics on GPUs: sums repeat to a tolerance there, not bit for bit."""
-    kernel = make_splat_events(float_of(x), cfg, not is_on_cpu(x))
+    kernel = make_splat_events(float_of(x), cfg, *owners(x, window_ptr))
     launch(kernel, x, y, t, weight, window_ptr, motion, lag, frame, events_a_thread(x), image_out)

@@ -32,7 +32,7 @@ def make_running_squares(dtype):
 
 
 @cache
-def make_quiet_floor(dtype):
+def make_quiet_floor(dtype, alone: bool):
     """Build the floor from the rows' sums; one thread per image."""
 
     @ti.kernel
@@ -43,6 +43,7 @@ def make_quiet_floor(dtype):
         quiet: dtype,
         floor_out: array(dtype, 1),
     ):
+        ti.loop_config(serialize=alone)
         for b in range(floor_out.shape[0]):
             total = dtype(0.0)
             count = dtype(0.0)
@@ -147,6 +148,6 @@ def correlate_templates(
     """Launch the running sums, the floor, the correlation and the choice; overwrites."""
     dtype = float_of(image)
     launch(make_running_squares(dtype), image, squares_out, counts_out)
-    launch(make_quiet_floor(dtype), squares_out, counts_out, spans, quiet, floor_out)
+    launch(make_quiet_floor(dtype, image.shape[0] == 1), squares_out, counts_out, spans, quiet, floor_out)
     launch(make_correlate_basis(dtype), image, basis, spans, squares_out, floor_out, sums_out)
     launch(make_best_template(dtype), sums_out, mix, floor_out, least, response_out, angle_out)
