@@ -30,12 +30,12 @@ from evqr_kernels.taichi_backend import (
     splat_adjoint,
     templates,
 )
-from evqr_kernels.taichi_backend.language import LOCK, compile_kernel, launch, record, ti
+from evqr_kernels.taichi_backend.arrays import DeviceArray, write
+from evqr_kernels.taichi_backend.language import DTYPES, ti
+from evqr_kernels.taichi_backend.launches import LOCK, compile_kernel, launch, record
 
 TAPS = 5
 """Taps of the lag operator that reading a code asks for."""
-
-_DTYPES = {np.dtype(np.float32): ti.f32, np.dtype(np.float64): ti.f64, np.dtype(np.int32): ti.i32}
 
 
 class TaichiBackend:
@@ -84,7 +84,7 @@ class TaichiBackend:
         if device == "cpu" or 0 in shape:  # Taichi has no empty arrays of its own
             return np.empty(shape, dtype)
         with LOCK:
-            return ti.ndarray(_DTYPES[np.dtype(dtype)], shape)
+            return DeviceArray(DTYPES[np.dtype(dtype)], shape)
 
     def from_host(self, array: NDArray[Any], device: str) -> Any:
         """Bring a NumPy array to the device; on the CPU it is the same memory."""
@@ -105,11 +105,8 @@ class TaichiBackend:
 
     def assign(self, array: Any, values: NDArray[Any]) -> None:
         """Copy a NumPy array of the same shape and dtype into an array."""
-        if isinstance(array, np.ndarray):
-            array[...] = values
-        else:
-            with LOCK:
-                array.from_numpy(np.ascontiguousarray(values))
+        with LOCK:
+            write(array, values)
 
     def clear(self, array: Any) -> None:
         """Fill an array with zeros."""
@@ -153,26 +150,26 @@ def _kernels(kernels: KernelSet) -> list[Any]:
     f32 = ti.f32
     on_cpu = runtime.running_on() == "cpu"
     return [
-        splat.make_bin_events(f32, not on_cpu, False),
+        splat.make_bin_events(f32, not on_cpu, on_cpu),
         lag.make_deposit_events(f32, not on_cpu, on_cpu),
         lag.make_lag_rows(f32, TAPS),
         lag.make_lag_columns(f32, TAPS),
         motion.make_clip_rows(f32),
         motion.make_correlate_rows(f32),
         motion.make_add_rows(f32),
-        motion.make_surface_peak(f32, True),
+        motion.make_surface_peak(f32, on_cpu),
         images.make_measure_rows(f32),
-        images.make_limit(f32, True),
+        images.make_limit(f32, on_cpu),
         images.make_clip_rows(f32),
         images.make_reduce_image(f32),
         templates.make_running_squares(f32),
-        templates.make_quiet_floor(f32, True),
+        templates.make_quiet_floor(f32, on_cpu),
         templates.make_correlate_basis(f32),
         templates.make_best_template(f32),
         peaks.make_local_maxima(f32),
-        peaks.make_merge_maxima(f32, True),
+        peaks.make_merge_maxima(f32, on_cpu),
         peaks.make_match_corners(f32),
-        align.make_align_poses(f32, kernels.table_columns, True),
+        *(align.make_align_poses(f32, kernels.table_columns, alone) for alone in {False, on_cpu}),
         code.make_sample_rows(f32),
         code.make_fold_columns(f32),
         *solve.make_kernels(f32, on_cpu),

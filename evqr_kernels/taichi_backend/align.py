@@ -2,7 +2,8 @@
 
 from functools import cache
 
-from evqr_kernels.taichi_backend.language import array, float_of, launch, ti
+from evqr_kernels.taichi_backend.language import array, float_of, is_alone, ti
+from evqr_kernels.taichi_backend.launches import launch
 from evqr_kernels.taichi_backend.pose import make_bilinear, make_project
 
 MOST = 10
@@ -168,7 +169,7 @@ def align_poses(
 ) -> None:
     """Launch; overwrites the results."""
     launch(
-        make_align_poses(float_of(image), table.shape[1], pose_inout.shape[0] == 1),
+        make_align_poses(float_of(image), table.shape[1], is_alone(pose_inout)),
         *(image, image_idx, points, table, gram, terms, factors, settings, max_iterations),
         *(pose_inout, result_out),
     )

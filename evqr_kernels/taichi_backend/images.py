@@ -2,7 +2,8 @@
 
 from functools import cache
 
-from evqr_kernels.taichi_backend.language import array, float_of, launch, ti
+from evqr_kernels.taichi_backend.language import array, float_of, is_alone, ti
+from evqr_kernels.taichi_backend.launches import launch
 
 
 @cache
@@ -60,7 +61,7 @@ def clip_outliers(image, factor: float, rows_out, limit_out, image_out) -> None:
     """Launch the three passes; overwrites."""
     dtype = float_of(image)
     launch(make_measure_rows(dtype), image, rows_out)
-    launch(make_limit(dtype, image.shape[0] == 1), rows_out, factor, limit_out)
+    launch(make_limit(dtype, is_alone(image)), rows_out, factor, limit_out)
     launch(make_clip_rows(dtype), image, limit_out, image_out)
 
 

@@ -1,4 +1,4 @@
-"""The one place that imports Taichi, and what the kernel files share: array types, and launching.
+"""The one place that imports Taichi, and the types that the kernel files share.
 
 Taichi is ``taichi``, or its maintained fork ``quadrants`` where ``taichi`` is not installed or the
 environment variable EVQR_TAICHI is "quadrants".  Both compile the same kernels.
@@ -6,14 +6,9 @@ environment variable EVQR_TAICHI is "quadrants".  Both compile the same kernels.
 
 import importlib
 import importlib.util
-import inspect
 import os
-import threading
 import warnings
-from collections.abc import Callable
 from contextlib import contextmanager
-from functools import partial
-from typing import Any
 
 import numpy as np
 
@@ -50,8 +45,9 @@ def _import_taichi():
 
 ti = _import_taichi()
 
-LOCK = threading.RLock()
-"""Held while Taichi compiles, launches or copies: its front end has one state for all threads."""
+
+DTYPES = {np.dtype(np.float32): ti.f32, np.dtype(np.float64): ti.f64, np.dtype(np.int32): ti.i32}
+"""Taichi's types of elements by NumPy's."""
 
 
 def array(dtype, axes: int):
@@ -69,65 +65,6 @@ def is_on_cpu(array) -> bool:
     return isinstance(array, np.ndarray)
 
 
-class _Recording(threading.local):
-    """What this thread records instead of launching; None while it does not."""
-
-    steps: list[Callable[[], Any]] | None = None
-
-
-_recording = _Recording()
-
-
-def launch(kernel, *arguments) -> None:
-    """Launch a kernel, or note the launch down while this thread records.
-
-    Kernels that have one thread a window take ``alone``, where there is one window: on the CPU it then runs
-    in the calling thread, which wakes no other.
-    """
-    step = partial(_launch, kernel, arguments)
-    if _recording.steps is None:
-        step()
-    else:
-        _recording.steps.append(step)
-
-
-def _launch(kernel, arguments) -> None:
-    """Launch; it takes whole arrays only, so that one cut out of another is copied, and back."""
-    cut = [a for a in arguments if isinstance(a, np.ndarray) and not a.flags.c_contiguous]
-    copies = {id(array): array.copy() for array in cut}
-    with LOCK:
-        kernel(*(copies.get(id(argument), argument) for argument in arguments))
-    for array in cut:
-        array[...] = copies[id(array)]
-
-
-def record(run: Callable[[], None]) -> Callable[[], None]:
-    """Note down what ``run`` launches, launching nothing; the result launches it all."""
-    steps: list[Callable[[], Any]] = []
-    _recording.steps = steps
-    try:
-        run()
-    finally:
-        _recording.steps = None
-
-    def replay() -> None:
-        for step in steps:
-            step()
-
-    return replay
-
-
-def compile_kernel(kernel) -> None:
-    """Compile a kernel, or load it from Taichi's cache, by launching it on empty arrays."""
-    launch(
-        kernel,
-        *(_nothing(parameter.annotation) for parameter in inspect.signature(kernel).parameters.values()),
-    )
-
-
-def _nothing(annotation):
-    if not hasattr(annotation, "ndim"):
-        return 1  # what kernels divide by is among them
-    return np.empty(
-        (0,) * annotation.ndim, {ti.f32: np.float32, ti.f64: np.float64, ti.i32: np.int32}[annotation.dtype]
-    )
+def is_alone(array) -> bool:
+    """Whether an array on the CPU holds one window: a kernel with one thread a window then wakes no other."""
+    return is_on_cpu(array) and array.shape[0] == 1

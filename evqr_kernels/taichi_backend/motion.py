@@ -2,7 +2,8 @@
 
 from functools import cache
 
-from evqr_kernels.taichi_backend.language import array, float_of, launch, ti
+from evqr_kernels.taichi_backend.language import array, float_of, is_alone, ti
+from evqr_kernels.taichi_backend.launches import launch
 
 BLOCK = 16
 """Neighbouring shifts done together."""
@@ -198,5 +199,5 @@ def make_surface_peak(dtype, alone: bool):
 
 def surface_peak(surface, smoother, rows_out, smooth_out, peak_out) -> None:
     """Launch; overwrites."""
-    kernel = make_surface_peak(float_of(surface), surface.shape[0] == 1)
+    kernel = make_surface_peak(float_of(surface), is_alone(surface))
     launch(kernel, surface, smoother, rows_out, smooth_out, peak_out)

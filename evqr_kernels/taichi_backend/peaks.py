@@ -3,7 +3,8 @@
 import math
 from functools import cache
 
-from evqr_kernels.taichi_backend.language import array, float_of, launch, ti
+from evqr_kernels.taichi_backend.language import array, float_of, is_alone, ti
+from evqr_kernels.taichi_backend.launches import launch
 from evqr_kernels.taichi_backend.transcendental import make_atan2, make_log
 
 PEAK = 5
@@ -132,7 +133,7 @@ def make_merge_maxima(dtype, alone: bool):
 
 def merge_maxima(maxima, apart: float, log_ratio: float, strength_out, index_out, peaks_out) -> None:
     """Launch; overwrites."""
-    kernel = make_merge_maxima(float_of(maxima), maxima.shape[0] == 1)
+    kernel = make_merge_maxima(float_of(maxima), is_alone(maxima))
     launch(kernel, maxima, apart, log_ratio, strength_out, index_out, peaks_out)
 
 

@@ -9,7 +9,8 @@ import io
 from functools import cache
 
 from evqr_kernels.native_output import without_lines
-from evqr_kernels.taichi_backend.language import LOCK, compile_kernel, environment, ti
+from evqr_kernels.taichi_backend.language import environment, ti
+from evqr_kernels.taichi_backend.launches import LOCK, compile_kernel
 from evqr_kernels.taichi_backend.sums import make_add_partials
 
 _DEVICES = {"cpu": "cpu", "cuda:0": "cuda", "vulkan": "vulkan", "metal": "metal"}

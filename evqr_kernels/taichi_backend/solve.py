@@ -6,7 +6,8 @@ and an iteration is two launches elsewhere.
 
 from functools import cache
 
-from evqr_kernels.taichi_backend.language import array, float_of, is_on_cpu, launch, ti
+from evqr_kernels.taichi_backend.language import array, float_of, is_alone, is_on_cpu, ti
+from evqr_kernels.taichi_backend.launches import launch
 
 
 @cache
@@ -99,7 +100,7 @@ def solve_windows(
     """Launch the CPU's variant; q is updated in place, the rest overwritten."""
     residual, direction, _, product, _, _ = scratch
     launch(
-        make_solve_windows(float_of(rhs), rhs.shape[0] == 1),
+        make_solve_windows(float_of(rhs), is_alone(rhs)),
         *(rhs, stencil, damping, free, max_iterations, tolerance),
         *(residual, direction, product, q_inout, iterations_out),
     )

@@ -3,7 +3,8 @@
 from functools import cache
 
 from evqr_kernels.config import SplatConfig
-from evqr_kernels.taichi_backend.language import array, float_of, is_on_cpu, launch, ti
+from evqr_kernels.taichi_backend.language import array, float_of, is_on_cpu, ti
+from evqr_kernels.taichi_backend.launches import launch
 from evqr_kernels.taichi_backend.transcendental import make_exp
 
 CHUNK = 64

@@ -3,7 +3,8 @@
 from functools import cache
 
 from evqr_kernels.config import SplatConfig
-from evqr_kernels.taichi_backend.language import array, float_of, launch, ti
+from evqr_kernels.taichi_backend.language import array, float_of, ti
+from evqr_kernels.taichi_backend.launches import launch
 from evqr_kernels.taichi_backend.splat import make_transport
 from evqr_kernels.taichi_backend.sums import add_partials
 from evqr_kernels.taichi_backend.transcendental import make_exp

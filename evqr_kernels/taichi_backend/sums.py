@@ -2,7 +2,8 @@
 
 from functools import cache
 
-from evqr_kernels.taichi_backend.language import array, float_of, launch, ti
+from evqr_kernels.taichi_backend.language import array, float_of, ti
+from evqr_kernels.taichi_backend.launches import launch
 
 
 @cache

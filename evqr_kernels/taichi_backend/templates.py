@@ -2,7 +2,8 @@
 
 from functools import cache
 
-from evqr_kernels.taichi_backend.language import array, float_of, launch, ti
+from evqr_kernels.taichi_backend.language import array, float_of, is_alone, ti
+from evqr_kernels.taichi_backend.launches import launch
 
 TERMS = 5
 """Size of the basis: a finder pattern at eight angles is in it to 0.4 %."""
@@ -148,6 +149,6 @@ def correlate_templates(
     """Launch the running sums, the floor, the correlation and the choice; overwrites."""
     dtype = float_of(image)
     launch(make_running_squares(dtype), image, squares_out, counts_out)
-    launch(make_quiet_floor(dtype, image.shape[0] == 1), squares_out, counts_out, spans, quiet, floor_out)
+    launch(make_quiet_floor(dtype, is_alone(image)), squares_out, counts_out, spans, quiet, floor_out)
     launch(make_correlate_basis(dtype), image, basis, spans, squares_out, floor_out, sums_out)
     launch(make_best_template(dtype), sums_out, mix, floor_out, least, response_out, angle_out)

@@ -146,3 +146,14 @@ def test_every_operation_on_vulkan(vulkan):
     done = subprocess.run(command, capture_output=True, text=True, timeout=280, check=False)
     assert done.returncode == 0, done.stdout[-4000:] + done.stderr[-2000:]
     assert " passed" in done.stdout
+
+
+def test_a_recording_is_read_on_vulkan(vulkan):
+    """Reading makes views of arrays, which Taichi's arrays on a GPU do not have of themselves."""
+    code = """
+from evqr import read_codes
+from evqr.demo import demo_recording
+with demo_recording() as path:
+    print(*(reading.text for reading in read_codes(path, backend="taichi", device="vulkan").readings))
+"""
+    assert run(code) == "Read in passing, 8 px/ms\n"
