@@ -79,8 +79,8 @@ def test_file(file):
 
 @pytest.mark.parametrize("file", FILES, ids=lambda file: f"{file.parent.name}-{file.name}")
 def test_launchers_only_launch(file):
-    """No allocation, host read-back or wait outside the file that owns buffers."""
-    if file.name == "__init__.py":
+    """No allocation, host read-back or wait outside the files that own buffers."""
+    if file.name in ("__init__.py", "arrays.py"):
         return
     calls = {
         ast.unparse(node.func) for node in ast.walk(ast.parse(file.read_text())) if isinstance(node, ast.Call)
