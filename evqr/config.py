@@ -78,8 +78,8 @@ class FinderConfig:
 
     Attributes
     ----------
-    looks            one after another until a code is found: most are found by the first, at a fifth of the
-                     cost of the last
+    looks            one after another until a code is found, the cheapest first: large modules, then small
+                     ones, then all of them and quiet places too
     scale_ratio      step from one module size to the next
     cells_a_module   resolution of the search: cells of the reduced image a module
     half             half width of a template [cells]
@@ -90,7 +90,7 @@ class FinderConfig:
     angle_tolerance  between leg and finder pattern, and from a right angle [rad]
     """
 
-    looks: tuple[LookConfig, ...] = (_quick(4.6, 11.0), _quick(3.2, 4.6), LookConfig())
+    looks: tuple[LookConfig, ...] = (_quick(4.9, 11.0), _quick(3.2, 4.0), LookConfig())
     scale_ratio: float = 1.22
     cells_a_module: float = 1.25
     half: int = 6
@@ -118,6 +118,10 @@ class StageOneConfig:
     closer_looks       candidates of the coarse look that are refined
     shift_gain         score that a one-module shift must gain to be taken
     min_score          correlation with the known modules below which there is no code, 0 to 1
+    clear_score        coarse correlation that ends the trying of hypotheses: wrong versions reach 0.56
+    good_score         correlation that ends the search for a better candidate: one module off scores 0.56 to
+                       0.67
+    sharp_score        correlation above which pixels do not lag enough to look for it
     """
 
     cells_a_module: float = 2.2
@@ -131,6 +135,9 @@ class StageOneConfig:
     closer_looks: int = 3
     shift_gain: float = 0.02
     min_score: float = 0.5
+    clear_score: float = 0.65
+    good_score: float = 0.8
+    sharp_score: float = 0.96
 
 
 @dataclass(frozen=True, kw_only=True)

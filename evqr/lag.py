@@ -12,13 +12,14 @@ lags: sharpening also sharpens noise.
 
 from __future__ import annotations
 
+from typing import Any
+
 import numpy as np
 from numpy.typing import NDArray
 
 from evqr.config import StageOneConfig
-from evqr.region import Region, deposit, sharpen
+from evqr.region import Region, sharpen
 from evqr.stage_one import Alignment, align, fine_levels
-from evqr.windows import Window
 from evqr.workspace import Workspace
 
 FIRST_LAGS = (0.0, 0.2, 0.4, 0.7, 1.0, 1.5)
@@ -27,7 +28,7 @@ FIRST_LAGS = (0.0, 0.2, 0.4, 0.7, 1.0, 1.5)
 OFF_OVER_ON = 1.6
 """Ratio of the lags tried first."""
 
-MOST_STEPS = 2
+MOST_STEPS = 1
 """Steps of Gauss-Newton for each pair."""
 
 FACTORS = (0.6, 1.0, 1.6)
@@ -35,7 +36,7 @@ FACTORS = (0.6, 1.0, 1.6)
 
 
 def estimate_lag(
-    window: Window,
+    cells: Any,
     velocity: NDArray[np.float64],
     region: Region,
     pose: NDArray[np.float64],
@@ -48,6 +49,7 @@ def estimate_lag(
 
     Parameters
     ----------
+    cells           deposit of the events on the region
     pose : (3, 3)   code coordinates to cells of the region
 
     Returns
@@ -56,11 +58,13 @@ def estimate_lag(
     alignment   of the pose with these lags, one hypothesis
     """
     direction = velocity / np.hypot(*velocity)
-    cells = deposit(window, velocity, region, workspace=workspace)
+
+    # the image is linear in the lags: those of all pairs are mixtures of three
+    corners = sharpen(cells, velocity, region, [(0.0, 0.0), (1.0, 0.0), (0.0, 1.0)], workspace=workspace)
 
     # a step or two settle which pair is best; what they leave of the pose the next alignment takes up
     def try_pairs(pairs: list[tuple[float, float]], start: list[NDArray[np.float64]]) -> Alignment:
-        images = sharpen(cells, velocity, region, pairs, workspace=workspace)
+        images = _mix(corners, pairs, region, workspace)
         idx = np.arange(len(pairs), dtype=np.int32)
         return align(
             images, np.stack(start), version, fine_levels(cfg), cfg, workspace=workspace, image_idx=idx,
@@ -87,3 +91,18 @@ def estimate_lag(
     return second[best], Alignment(
         tried.pose[pick], tried.gain[pick], tried.score[pick], tried.noise[pick], tried.iterations
     )
+
+
+def _mix(corners: Any, pairs: list[tuple[float, float]], region: Region, workspace: Workspace) -> Any:
+    """Make the images for pairs of lags [px] from those for (0, 0), (1, 0) and (0, 1)."""
+    count = len(pairs)
+
+    def make() -> tuple[Any, ...]:
+        weight, images = workspace.mirror((count, 3)), workspace.empty(count, region.height, region.width)
+        run = workspace.backend.record(lambda: workspace.backend.mix_images(corners, weight.device, images))
+        return weight, images, run
+
+    weight, images, run = workspace.once(("mix", id(corners), count), make)
+    weight.write([(1.0 - on - off, on, off) for on, off in pairs])
+    run()
+    return images

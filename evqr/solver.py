@@ -30,13 +30,6 @@ from evqr.windows import EventBuffer, Window
 from evqr.workspace import Workspace
 from evqr_kernels.backend import get_backend
 
-GOOD_SCORE = 0.8
-"""Correlation with the known modules that ends the search for a better candidate: one module off scores 0.56
-to 0.67."""
-
-SHARP_SCORE = 0.96
-"""Correlation with the known modules above which pixels do not lag enough to look for it."""
-
 SURE_TRAVEL_PX = 0.6
 """Travel in a window below which the direction of the motion is not sure [px]."""
 
@@ -117,10 +110,11 @@ class Sighting:
 
 @dataclass(frozen=True, eq=False)
 class _Closer:
-    """A candidate, refined; ``image`` is None once its buffer is used again."""
+    """A candidate, refined; ``cells`` and ``image`` are None once their arrays are used again."""
 
     version: int
     region: Region
+    cells: Any
     image: Any
     found: Alignment
     iterations: int = 0
@@ -205,7 +199,7 @@ class Solver:
             found = self._look_along(window, _turned(motion.velocity, turn), lag_us, look)
             if isinstance(best, str) or (isinstance(found, Sighting) and found.score > best.score):
                 best = found
-            if isinstance(best, Sighting) and best.score >= GOOD_SCORE:
+            if isinstance(best, Sighting) and best.score >= self.config.stage_one.good_score:
                 break
         return best
 
@@ -242,7 +236,7 @@ class Solver:
             found = self._settle(window, closer, velocity, lag_us, iterations)
             if best is None or found.score > best.score:
                 best = found
-            if best.score >= GOOD_SCORE:
+            if best.score >= self.config.stage_one.good_score:
                 break
         return (
             best or f"the best of {len(hypotheses)} candidates agrees too little with a code: {closest:.2f}"
@@ -262,19 +256,18 @@ class Solver:
             region = region_around(
                 candidate.pose, size_of(candidate.version), cfg, margin_px=SEARCH_MARGIN_PX
             )
-            image = self._image(window, velocity, region, lag_us)
+            cells = deposit(window, velocity, region, workspace=self.workspace)
+            image = self._image(cells, velocity, region, lag_us)
             found = refine_from_cold(
                 image, region.from_px @ candidate.pose, candidate.version, cfg, workspace=self.workspace
             )
-            looks.append(_Closer(candidate.version, region, image, found))
-            if looks[-1].score >= GOOD_SCORE:
+            looks.append(_Closer(candidate.version, region, cells, image, found))
+            if looks[-1].score >= cfg.good_score:
                 break
         best = max(looks, key=lambda look: look.score)
-        return replace(
-            best,
-            image=best.image if best is looks[-1] else None,
-            iterations=sum(look.found.iterations for look in looks),
-        )
+        if best is not looks[-1]:
+            best = replace(best, cells=None, image=None)
+        return replace(best, iterations=sum(look.found.iterations for look in looks))
 
     def _settle(
         self,
@@ -285,46 +278,35 @@ class Solver:
         iterations: int,
     ) -> Sighting:
         """Estimate what is still unknown of a code that was found, and measure it."""
-        found = closer.found
-        if lag_us is None and closer.score >= SHARP_SCORE:
+        region, version, pose = closer.region, closer.version, closer.found.pose[0]
+        cells = closer.cells
+        if cells is None:
+            with self.clock("stage_one"):
+                cells = deposit(window, velocity, region, workspace=self.workspace)
+        if lag_us is None and closer.score >= self.config.stage_one.sharp_score:
             lag_us = (0.0, 0.0)
         if lag_us is not None and closer.image is not None:
             return self._sighting(
-                window,
-                closer.image,
-                found,
-                velocity,
-                closer.region,
-                closer.version,
-                lag_us,
-                iterations,
+                window, closer.image, closer.found, velocity, region, version, lag_us, iterations
             )
         if lag_us is None:
             with self.clock("lag"):
                 lag_px, found = estimate_lag(
-                    window,
-                    velocity,
-                    closer.region,
-                    found.pose[0],
-                    closer.version,
-                    self.config.stage_one,
-                    workspace=self.workspace,
+                    cells, velocity, region, pose, version, self.config.stage_one, workspace=self.workspace
                 )
             per_us = float(np.hypot(*velocity)) * 1e-6
             lag_us = (lag_px[0] / per_us, lag_px[1] / per_us)
-        return self._measure(
-            window, velocity, closer.region, found.pose[0], closer.version, lag_us, iterations
-        )
+            pose = found.pose[0]
+        return self._measure(window, cells, velocity, region, pose, version, lag_us, iterations)
 
     def _image(
         self,
-        window: Window,
+        cells: Any,
         velocity: NDArray[np.float64],
         region: Region,
         lag_us: tuple[float, float] | None,
     ) -> Any:
-        """Make the image of a region, with the lags undone as far as they are known."""
-        cells = deposit(window, velocity, region, workspace=self.workspace)
+        """Make the image of a region from its deposit, with the lags undone as far as they are known."""
         return sharpen(cells, velocity, region, [_lag_px(lag_us, velocity)], workspace=self.workspace)
 
     def follow(self, window: Window, seen: Sighting) -> Sighting | None:
@@ -332,14 +314,16 @@ class Solver:
         with self.clock("stage_one"):
             pose = seen.pose_at(window.middle_us)
             region = region_around(pose, seen.size, self.config.stage_one)
+            cells = deposit(window, seen.velocity, region, workspace=self.workspace)
         found = self._measure(
-            window, seen.velocity, region, region.from_px @ pose, seen.version, seen.lag_us, 0
+            window, cells, seen.velocity, region, region.from_px @ pose, seen.version, seen.lag_us, 0
         )
         return found if found.score >= self.config.stage_one.min_score else None
 
     def _measure(
         self,
         window: Window,
+        cells: Any,
         velocity: NDArray[np.float64],
         region: Region,
         pose: NDArray[np.float64],
@@ -350,7 +334,7 @@ class Solver:
         """Stage one at its finest level with the lags undone, then stage two's equations."""
         cfg = self.config.stage_one
         with self.clock("stage_one"):
-            image = self._image(window, velocity, region, lag_us)
+            image = self._image(cells, velocity, region, lag_us)
             found = align(image, pose[None], version, fine_levels(cfg), cfg, workspace=self.workspace)
         return self._sighting(
             window, image, found, velocity, region, version, lag_us, iterations + found.iterations

@@ -177,11 +177,14 @@ def refine_from_cold(
 ) -> Alignment:
     """Refine one pose (3, 3) from the coarse look: the finest level, then the neighbours one module away.
 
-    The cost has a side minimum one module off, where finder patterns half agree.  Its neighbours are looked
-    at, not refined: from a side minimum the true pose is exactly one module away.
+    The cost has a side minimum one module off, where finder patterns half agree.  Unless the score is better
+    than that allows, its neighbours are looked at, not refined: from a side minimum the true pose is exactly
+    one module away.
     """
     levels = fine_levels(cfg)
     found = align(image, pose[None], version, levels, cfg, workspace=workspace)
+    if found.score[0] >= cfg.good_score:
+        return found
     around = shifted(found.pose[0])
     score = align(image, around, version, levels[-1:], cfg, workspace=workspace, max_iterations=0).score
     best = int(score.argmax())

@@ -9,7 +9,7 @@ import numpy as np
 
 from evqr.decode import Decoded, DecodeFailure, decode_grid
 from evqr.region import outline
-from evqr.solver import GOOD_SCORE, Sighting, Solver, StageClock
+from evqr.solver import Sighting, Solver, StageClock
 from evqr.types import CodeReading
 from evqr.vote import Tally
 from evqr.windows import EventBuffer
@@ -50,6 +50,7 @@ class Track:
         self.reading: CodeReading | None = None
         self.why_not = ""
         self.clock = clock
+        self._good_score = cfg.stage_one.good_score
         self._misses = 0
         self._tally = Tally(cfg.vote, cfg.stage_two, workspace=solver.workspace)
         self._path = deque([(sighting.time_us, sighting.centre)], maxlen=BASELINE)
@@ -58,7 +59,9 @@ class Track:
     @property
     def gone(self) -> bool:
         """Whether the code is out of sight, or was none."""
-        unread = self.reading is None and self._tally.windows >= PATIENCE and self.seen.score < GOOD_SCORE
+        unread = (
+            self.reading is None and self._tally.windows >= PATIENCE and self.seen.score < self._good_score
+        )
         return unread or self._misses >= MOST_MISSES
 
     def next_window(self, solver: Solver) -> tuple[int, int]:

@@ -84,6 +84,7 @@ class Workspace:
         self.backend = backend
         self.device = device
         self._kept: OrderedDict[Any, Any] = OrderedDict()
+        self._slots: dict[int, EventSlots] = {}  # for good: recorded launches know them by their capacity
 
     def once(self, key: Any, make: Callable[[], T]) -> T:
         """Give whatever ``make`` gives, made when it is first asked for."""
@@ -115,9 +116,10 @@ class Workspace:
     def events(self, window: Window) -> EventSlots:
         """Give the events of a window on the device, until the next window of that size class."""
         capacity = max(FEWEST_EVENTS, 1 << (len(window) - 1).bit_length())
-        slots = self.once(("events", capacity), lambda: EventSlots(self, capacity))
-        slots.load(window)
-        return slots
+        if capacity not in self._slots:
+            self._slots[capacity] = EventSlots(self, capacity)
+        self._slots[capacity].load(window)
+        return self._slots[capacity]
 
     def put(self, array: NDArray[Any]) -> Any:
         """Put an array on the device."""

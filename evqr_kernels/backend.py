@@ -157,8 +157,9 @@ class KernelBackend(Protocol):
         ...
 
     def clip_outliers(
-        self, image: Array, factor: float, rows_out: Array, limit_out: Array, image_out: Array
-    ) -> None:
+        self, image: Array, factor: float, rows_out: Array, limit_out: Array, busy_out: Array,
+        image_out: Array,
+    ) -> None:  # fmt: skip
         """Clip at a multiple of the mean magnitude; ``rows_out`` is (B, Y, 2), ``limit_out`` (B,)."""
         ...
 
@@ -166,15 +167,18 @@ class KernelBackend(Protocol):
         """Sum an image (B, Y, X) over coarser pixels; ``rows_out`` is (B, coarse Y, X)."""
         ...
 
+    def mix_images(self, images: Array, weight: Array, images_out: Array) -> None:
+        """Weighted sums of K images (K, Y, X), N of them; X is at least 16."""
+        ...
+
     def correlate_templates(
-        self, image: Array, basis: Array, mix: Array, spans: Array, quiet: float, least: float,
-        squares_out: Array, counts_out: Array, floor_out: Array, sums_out: Array, response_out: Array,
-        angle_out: Array,
+        self, image: Array, busy: Array, basis: Array, mix: Array, spans: Array, quiet: float, least: float,
+        squares_out: Array, floor_out: Array, sums_out: Array, response_out: Array, angle_out: Array,
     ) -> None:  # fmt: skip
         """Correlate with n x n templates; image = response + n - 1, response at least 4 wide.
 
-        ``squares_out`` is as the image and one wider, ``counts_out`` (B, rows of the image), ``floor_out``
-        (B,), ``sums_out`` (B, 6, rows and columns of the response).
+        ``squares_out`` is as the image with one more row, ``floor_out`` (B,), ``sums_out`` (B, 6, rows and
+        columns of the response).
         """
         ...
 
@@ -270,6 +274,7 @@ OPS = (
     "surface_peak",
     "clip_outliers",
     "reduce_image",
+    "mix_images",
     "correlate_templates",
     "local_maxima",
     "merge_maxima",

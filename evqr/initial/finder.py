@@ -129,9 +129,9 @@ def _template_gradients(cells_a_module: float, half: int) -> tuple[NDArray[np.fl
 
 @functools.cache
 def _spans(cfg: FinderConfig) -> NDArray[np.int32]:
-    """First column of the disc in each row of a template, and the one behind its last, (n, 2)."""
+    """First row of the disc in each column of a template, and the one behind its last, (n, 2)."""
     _, disc = _template_gradients(cfg.cells_a_module, cfg.half)
-    return np.array([(row.argmax(), len(row) - row[::-1].argmax()) for row in disc > 0.0], np.int32)
+    return np.array([(c.argmax(), len(c) - c[::-1].argmax()) for c in disc.T > 0.0], np.int32)
 
 
 @functools.lru_cache(maxsize=360)
@@ -148,9 +148,10 @@ def _bank(degrees: int, cfg: FinderConfig) -> tuple[NDArray[np.float64], ...]:
     return (flat @ (mix / length)).reshape(*bank.shape[:2], TERMS), mix * length
 
 
-def _module_sizes(smallest: float, largest: float, ratio: float) -> list[float]:
-    count = math.ceil(math.log(largest / smallest) / math.log(ratio)) + 1
-    return [smallest * ratio**k for k in range(count)]
+def _module_sizes(look: LookConfig, ratio: float) -> list[float]:
+    """Sizes from the smallest on; each answers for half a step on either side."""
+    count = 1 + round(math.log(look.largest_module_px / look.smallest_module_px) / math.log(ratio))
+    return [look.smallest_module_px * ratio**k for k in range(count)]
 
 
 def _four(count: int) -> int:
@@ -174,7 +175,7 @@ class _Search:
         self.pyramid: list[PyramidLevel] = []
         padded: list[Any] = []
         modules: list[float] = []
-        for module_px in _module_sizes(look.smallest_module_px, look.largest_module_px, cfg.scale_ratio):
+        for module_px in _module_sizes(look, cfg.scale_ratio):
             cell = module_px / cfg.cells_a_module
             rows, columns = math.ceil(height / cell), _four(math.ceil(width / cell))
             if rows < side or columns < FEWEST_CELLS:
@@ -189,12 +190,13 @@ class _Search:
         maxima = workspace.empty(1, slots, MOST_A_ROW, 5)
         strength = workspace.empty(1, slots * MOST_A_ROW)
         index = workspace.empty(1, slots * MOST_A_ROW, dtype=np.int32)
+        busy = workspace.empty(1)
 
         def launch() -> None:
             first = 0
             for k, (level, (rows, columns)) in enumerate(zip(self.pyramid, shapes, strict=True)):
                 if k == 0:
-                    self._finest(events, level, workspace)
+                    self._finest(events, level, busy, workspace)
                 else:
                     fine = self.pyramid[k - 1].image
                     backend.reduce_image(
@@ -202,10 +204,12 @@ class _Search:
                     )
                 response = workspace.empty(1, rows, columns)
                 angle = workspace.empty(1, rows, columns, dtype=np.int32)
+                # as large a part of each level is busy as of the finest
+                share = math.prod(shapes[0]) / math.prod(shapes[k])
                 backend.correlate_templates(
-                    padded[k], self._basis.device, self._mix.device, spans, look.floor, cfg.min_response,
-                    workspace.empty(1, rows + 2 * half, columns + 2 * half + 1),
-                    workspace.empty(1, rows + 2 * half),
+                    padded[k], busy, self._basis.device, self._mix.device, spans, share * look.floor,
+                    cfg.min_response,
+                    workspace.empty(1, rows + 2 * half + 1, columns + 2 * half),
                     workspace.empty(1),
                     workspace.empty(1, TERMS + 1, rows, columns),
                     response, angle,
@@ -223,7 +227,7 @@ class _Search:
         self._run = backend.record(launch) if self.pyramid else None
         self._cfg = cfg
 
-    def _finest(self, events: EventSlots, level: PyramidLevel, workspace: Workspace) -> None:
+    def _finest(self, events: EventSlots, level: PyramidLevel, busy: Any, workspace: Workspace) -> None:
         """Make the finest level from the events; what falls on no cell is exactly 0."""
         backend = workspace.backend
         _, rows, columns = level.image.shape
@@ -237,7 +241,9 @@ class _Search:
             cells, workspace.put(np.zeros(1, np.int32)), self._direction.device, self._lag.device,
             workspace.put(blur_taps(BLUR_CELLS)), workspace.empty(1, 2, rows, columns), blurred,
         )  # fmt: skip
-        backend.clip_outliers(blurred, CLIP, workspace.empty(1, rows, 2), workspace.empty(1), level.image)
+        backend.clip_outliers(
+            blurred, CLIP, workspace.empty(1, rows, 2), workspace.empty(1), busy, level.image
+        )
 
     def __call__(
         self, count: int, velocity: NDArray[np.float64], lag_px: tuple[float, float]

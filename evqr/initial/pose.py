@@ -1,4 +1,4 @@
-"""Poses from the search, tried coarsely all at once: which hypotheses deserve a closer look.
+"""Poses from the search, tried coarsely: which hypotheses deserve a closer look.
 
 Stage one's coarse levels run on the images that the search for finder patterns made already, all hypotheses
 of one version in one batch.
@@ -36,7 +36,7 @@ class Candidate:
 def screen(
     hypotheses: list[Hypothesis], pyramid: list[PyramidLevel], cfg: StageOneConfig, *, workspace: Workspace
 ) -> tuple[list[Candidate], int]:
-    """Refine all hypotheses coarsely.
+    """Refine hypotheses coarsely, until one of them is clearly a code.
 
     Returns
     -------
@@ -66,5 +66,7 @@ def screen(
         candidates += [
             Candidate(version, pose, score) for pose, score in zip(refined, found.score.tolist(), strict=True)
         ]
+        if found.score.max() >= cfg.clear_score:
+            break
     candidates.sort(key=lambda candidate: -candidate.score)
     return candidates, iterations

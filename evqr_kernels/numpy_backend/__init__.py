@@ -45,6 +45,7 @@ class NumpyBackend:
     surface_peak = staticmethod(motion.surface_peak)
     clip_outliers = staticmethod(images.clip_outliers)
     reduce_image = staticmethod(images.reduce_image)
+    mix_images = staticmethod(images.mix_images)
     correlate_templates = staticmethod(templates.correlate_templates)
     local_maxima = staticmethod(peaks.local_maxima)
     merge_maxima = staticmethod(peaks.merge_maxima)

@@ -6,10 +6,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 
-def clip_outliers(image, factor, rows_out, limit_out, image_out) -> None:
+def clip_outliers(image, factor, rows_out, limit_out, busy_out, image_out) -> None:
     """Clip at a multiple of the mean magnitude of what is not 0; overwrites."""
     rows_out[..., 0], rows_out[..., 1] = np.abs(image).sum(axis=2), (image != 0).sum(axis=2)
     total, count = rows_out.sum(axis=1).T
+    busy_out[:] = count
     limit_out[:] = factor * total / np.maximum(count, 1)
     high = limit_out[:, None, None]
     image_out[:] = np.clip(image, -high, high)
@@ -20,6 +21,11 @@ def reduce_image(image, ratio, rows_out, image_out) -> None:
     rows = _coverage(image_out.shape[1], image.shape[1], ratio).astype(image.dtype)
     columns = _coverage(image_out.shape[2], image.shape[2], ratio).astype(image.dtype)
     image_out[:] = rows @ image @ columns.T
+
+
+def mix_images(images, weight, images_out) -> None:
+    """Mix images; overwrites."""
+    images_out[:] = np.tensordot(weight, images, axes=1)
 
 
 def _coverage(coarse: int, fine: int, ratio: float) -> NDArray[np.float64]:

@@ -7,18 +7,17 @@ from numpy.lib.stride_tricks import sliding_window_view
 
 
 def correlate_templates(
-    image, basis, mix, spans, quiet, least, squares_out, counts_out, floor_out, sums_out, response_out,
-    angle_out,
-) -> None:  # fmt: skip
+    image, busy, basis, mix, spans, quiet, least, squares_out, floor_out, sums_out, response_out, angle_out
+) -> None:
     """Correlate an image, padded by n - 1, with a bank of n x n templates; overwrites."""
     batch, height, width = response_out.shape
     size = len(spans)
     bank = basis @ mix.T
-    column = np.arange(size)
-    disc = ((column >= spans[:, :1]) & (column < spans[:, 1:])).astype(image.dtype)
+    row = np.arange(size)[:, None]
+    disc = ((row >= spans[:, 0]) & (row < spans[:, 1])).astype(image.dtype)
     patches = sliding_window_view(image, (size, size), axis=(1, 2))[:, :height, :width]
     for b in range(batch):
-        floor = quiet * disc.sum() * (image[b] ** 2).sum() / max(np.count_nonzero(image[b]), 1)
+        floor = quiet * disc.sum() * (image[b] ** 2).sum() / max(busy[b], 1)
         response = np.tensordot(patches[b], bank, axes=2)
         energy = np.tensordot(patches[b] ** 2, disc, axes=2)
         angle = np.abs(response).argmax(axis=-1)

@@ -67,7 +67,7 @@ def surface_peak(
 
 def clip_outliers(
     image: Floats, *, factor: float, backend: str = "auto", device: str | None = None
-) -> Floats:
+) -> tuple[Floats, Floats]:
     """Clip images at a multiple of the mean magnitude of what is not 0 in them.
 
     Parameters
@@ -78,6 +78,7 @@ def clip_outliers(
     Returns
     -------
     (B, Y, X)
+    (B,)        how many pixels of each image are not 0
     """
     checks = ArrayChecks()
     checks.floats("image", image, "B", "Y", "X")
@@ -85,8 +86,10 @@ def clip_outliers(
     launch = Launch("clip_outliers", checks, backend, device)
     batch, height, _ = image.shape
     scratch = launch.scratch(batch, height, 2), launch.scratch(batch)
-    launch.run(*launch.put(image), factor, *scratch, launch.result(None, *image.shape))
-    return launch.results()[0]
+    busy, clipped = launch.result(None, batch), launch.result(None, *image.shape)
+    launch.run(*launch.put(image), factor, *scratch, busy, clipped)
+    busy, clipped = launch.results()
+    return clipped, busy
 
 
 def reduce_image(image: Floats, *, ratio: float, backend: str = "auto", device: str | None = None) -> Floats:
@@ -112,8 +115,34 @@ def reduce_image(image: Floats, *, ratio: float, backend: str = "auto", device: 
     return launch.results()[0]
 
 
+def mix_images(images: Floats, weight: Floats, *, backend: str = "auto", device: str | None = None) -> Floats:
+    """Make weighted sums of images.
+
+    The adjoint in the images is the operation itself, with the weights transposed.
+
+    Parameters
+    ----------
+    images : (K, Y, X)
+    weight : (N, K)
+
+    Returns
+    -------
+    (N, Y, X)   image n is the sum of weight(n, k) times image k
+    """
+    checks = ArrayChecks()
+    checks.floats("images", images, "K", "Y", "X")
+    checks.floats("weight", weight, "N", "K")
+    _, height, width = images.shape
+    # the last columns may be computed for nothing: kernels work on at least sixteen neighbours
+    images = np.pad(images, ((0, 0), (0, 0), (0, max(0, 16 - width))))
+    launch = Launch("mix_images", checks, backend, device)
+    launch.run(*launch.put(images, weight), launch.result(None, len(weight), height, images.shape[2]))
+    return launch.results()[0][:, :, :width]
+
+
 def correlate_templates(
     image: Floats,
+    busy: Floats,
     basis: Floats,
     mix: Floats,
     spans: Ints,
@@ -128,11 +157,12 @@ def correlate_templates(
     Parameters
     ----------
     image : (B, Y, X)
+    busy : (B,)         pixels that the energy of the image is spread over
     basis : (N, N, 5)   orthonormal
     mix : (A, 5)        mixture of the basis that each of A templates is, no longer than 1
-    spans : (N, 2)      in each row of a template the first column whose energy counts, and the one behind
+    spans : (N, 2)      in each column of a template the first row whose energy counts, and the one behind
                         the last
-    quiet               energy, relative to that of pixels of rms strength, up to which a place is quiet: 0
+    quiet               energy, relative to that of busy pixels, up to which a place is quiet: 0
     least               magnitude below which a response is 0
 
     Returns
@@ -141,6 +171,7 @@ def correlate_templates(
     """
     checks = ArrayChecks()
     checks.floats("image", image, "B", "Y", "X")
+    checks.floats("busy", busy, "B")
     checks.floats("basis", basis, "N", "N", 5)
     checks.floats("mix", mix, "A", 5)
     checks.ints("spans", spans, "N", 2)
@@ -156,11 +187,10 @@ def correlate_templates(
     shape = (batch, tall, wide)
     response, angle = launch.result(None, *shape), launch.result(None, *shape, dtype=np.int32)
     launch.run(
-        *launch.put(image, basis, mix, spans),
+        *launch.put(image, busy, basis, mix, spans),
         quiet,
         least,
-        launch.scratch(batch, height, image.shape[2] + 1),
-        launch.scratch(batch, height),
+        launch.scratch(batch, height + 1, image.shape[2]),
         launch.scratch(batch),
         launch.scratch(batch, 6, tall, wide),
         response,

@@ -53,6 +53,7 @@ class WarpBackend:
     surface_peak = staticmethod(motion.surface_peak)
     clip_outliers = staticmethod(images.clip_outliers)
     reduce_image = staticmethod(images.reduce_image)
+    mix_images = staticmethod(images.mix_images)
     correlate_templates = staticmethod(templates.correlate_templates)
     local_maxima = staticmethod(peaks.local_maxima)
     merge_maxima = staticmethod(peaks.merge_maxima)
@@ -146,6 +147,7 @@ def is_compiled(module: wp.Module, device: str) -> bool:
 def _modules(kernels: KernelSet, device: str) -> list[wp.Module]:
     """List the Warp modules of the kernels that reading a code launches."""
     f32 = wp.float32
+    block = templates.block_of(wp.get_device(device), width=640)
     made = [
         splat.make_bin_events(f32),
         lag.make_deposit_events(f32),
@@ -159,9 +161,10 @@ def _modules(kernels: KernelSet, device: str) -> list[wp.Module]:
         images.make_limit(f32),
         images.make_clip_rows(f32),
         images.make_reduce_image(f32),
-        templates.make_running_squares(f32),
+        images.make_mix_images(f32),
+        templates.make_running_squares(f32, block),
         templates.make_quiet_floor(f32),
-        templates.make_correlate_basis(f32, templates.block_of(wp.get_device(device), width=640)),
+        templates.make_correlate_basis(f32, block),
         templates.make_best_template(f32),
         peaks.make_local_maxima(f32),
         peaks.make_merge_maxima(f32),

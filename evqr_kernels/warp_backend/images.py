@@ -1,10 +1,13 @@
-"""Images made ready for a search: outliers clipped, resolution reduced.
+"""Images made ready: outliers clipped, resolution reduced, several mixed.
 
 ``clip_outliers``: values beyond ``factor`` times the mean magnitude of those that are not 0 are clipped: a
-pixel that fires all the time is no edge.
+pixel that fires all the time is no edge.  How many are not 0 is told too.
 
 ``reduce_image``: sum over a coarser grid: the pixel of the coarse image covers ``ratio`` x ``ratio`` fine
 pixels, with fractional coverage at its borders.
+
+``mix_images``: image_n = sum_k weight(n, k) image_k.  Its adjoint in the images is itself, with the weights
+transposed.
 """
 
 from functools import cache
@@ -48,6 +51,7 @@ def make_limit(dtype: type) -> wp.Kernel:
         rows: wp.array3d(dtype=dtype),
         factor: dtype,
         limit_out: wp.array(dtype=dtype),
+        busy_out: wp.array(dtype=dtype),
     ):
         b = wp.tid()
         total = dtype(0.0)
@@ -55,6 +59,7 @@ def make_limit(dtype: type) -> wp.Kernel:
         for y in range(rows.shape[1]):
             total += rows[b, y, 0]
             count += rows[b, y, 1]
+        busy_out[b] = count
         limit_out[b] = factor * total / wp.max(count, dtype(1.0))
 
     return limit
@@ -78,12 +83,14 @@ def make_clip_rows(dtype: type) -> wp.Kernel:
     return clip_rows
 
 
-def clip_outliers(image, factor: float, rows_out, limit_out, image_out) -> None:
+def clip_outliers(image, factor: float, rows_out, limit_out, busy_out, image_out) -> None:
     """Launch the three passes; overwrites."""
     dtype, device = image.dtype, image.device
     rows = image.shape[:2]
     launch(make_measure_rows(dtype), rows, inputs=[image], outputs=[rows_out], device=device)
-    launch(make_limit(dtype), rows[0], inputs=[rows_out, factor], outputs=[limit_out], device=device)
+    launch(
+        make_limit(dtype), rows[0], inputs=[rows_out, factor], outputs=[limit_out, busy_out], device=device
+    )
     launch(make_clip_rows(dtype), rows, inputs=[image, limit_out], outputs=[image_out], device=device)
 
 
@@ -122,9 +129,15 @@ def make_reduce_image(dtype: type) -> wp.Kernel:
         for x in range(image_out.shape[2]):
             left = dtype(x) * ratio
             right = left + ratio
+            start = int(left)
+            end = wp.min(int(wp.ceil(right)), fine_width)
             total = dtype(0.0)
-            for i in range(int(left), wp.min(int(wp.ceil(right)), fine_width)):
-                total += (wp.min(right, dtype(i) + one) - wp.max(left, dtype(i))) * rows_out[b, y, i]
+            if start < end:
+                # all of each pixel, less what of the first and of the last lies outside
+                total = (dtype(start) - left) * rows_out[b, y, start]
+                total -= wp.max(dtype(end) - right, dtype(0.0)) * rows_out[b, y, end - 1]
+                for i in range(start, end):
+                    total += rows_out[b, y, i]
             image_out[b, y, x] = total
 
     return reduce_image
@@ -138,4 +151,38 @@ def reduce_image(image, ratio: float, rows_out, image_out) -> None:
         inputs=[image, neighbours(image, SPAN), ratio],
         outputs=[rows_out, neighbours(rows_out, SPAN), image_out],
         device=image.device,
+    )
+
+
+@cache
+def make_mix_images(dtype: type) -> wp.Kernel:
+    """Build the mixing; launch: one thread per (result, row, block of columns)."""
+    vec_block = vector(SPAN, dtype)
+
+    @wp.kernel(module=module_of("images", dtype))
+    def mix_images(
+        blocks: wp.array3d(dtype=vec_block),
+        weight: wp.array2d(dtype=dtype),
+        blocks_out: wp.array3d(dtype=vec_block),
+    ):
+        n, y, k = wp.tid()
+        # the last block ends with the row; what it shares with the one before is written twice, alike
+        x = wp.min(SPAN * k, blocks_out.shape[2] - 1)
+        total = vec_block()
+        for i in range(weight.shape[1]):
+            total += weight[n, i] * blocks[i, y, x]
+        blocks_out[n, y, x] = total
+
+    return mix_images
+
+
+def mix_images(images, weight, images_out) -> None:
+    """Launch; overwrites."""
+    count, height, width = images_out.shape
+    launch(
+        make_mix_images(images.dtype),
+        (count, height, -(-width // SPAN)),
+        inputs=[neighbours(images, SPAN), weight],
+        outputs=[neighbours(images_out, SPAN)],
+        device=images.device,
     )

@@ -2,9 +2,10 @@
 
     response(y, x) = sum_{j, i} T_a(j, i) image(y + j, x + i) / sqrt(energy(y, x) + floor)
     energy(y, x)   = sum_{(j, i) in disc} image(y + j, x + i)^2
-    floor          = quiet |disc| (mean square of the pixels that are not 0)
+    floor          = quiet |disc| sum image^2 / busy
 
-with a = angle(y, x) the template of largest magnitude.  The floor keeps quiet places quiet: where the energy
+with a = angle(y, x) the template of largest magnitude, and ``busy`` the number of pixels that the image's
+energy is spread over.  The floor keeps quiet places quiet: where the energy
 under the disc is less the response is 0.  The sign of the best response is kept: an inverted code answers
 with the opposite one.
 
@@ -16,7 +17,7 @@ and Adelson, PAMI 1991), so the bank comes as a basis of five and as the mixture
 The basis is orthonormal and the rows of the mixture are no longer than 1, so the length of the sums bounds
 every response.  Responses of magnitude below ``least`` are 0.
 
-The disc is given by the ends of its rows, ``spans`` (N, 2): energies are then differences of running sums.
+The disc is given by the ends of its columns, ``spans`` (N, 2): energies are then differences of running sums.
 """
 
 from functools import cache
@@ -38,51 +39,48 @@ def block_of(device: wp.Device, width: int) -> int:
 
 
 @cache
-def make_running_squares(dtype: type) -> wp.Kernel:
-    """Build the running sums of squares along rows, the first 0; launch: one thread per row."""
+def make_running_squares(dtype: type, block: int) -> wp.Kernel:
+    """Build the running sums of squares down columns; launch: one thread per block of columns."""
+    vec_pixels = vector(block, dtype)
 
-    @wp.kernel(module=module_of("squares", dtype))
+    @wp.kernel(module=module_of(f"templates_{block}", dtype))
     def running_squares(
-        image: wp.array3d(dtype=dtype),
-        squares_out: wp.array3d(dtype=dtype),
-        counts_out: wp.array2d(dtype=dtype),
+        pixels: wp.array3d(dtype=vec_pixels),
+        squares_out: wp.array3d(dtype=vec_pixels),
     ):
-        b, y = wp.tid()
-        total = dtype(0.0)
-        count = wp.int32(0)
-        squares_out[b, y, 0] = total
-        for x in range(image.shape[2]):
-            value = image[b, y, x]
-            total += value * value
-            count += wp.where(value != dtype(0.0), 1, 0)
-            squares_out[b, y, x + 1] = total
-        counts_out[b, y] = dtype(count)
+        b, k = wp.tid()
+        # the last block overlaps the one before: what they share is written twice, alike
+        x = wp.min(block * k, pixels.shape[2] - 1)
+        total = vec_pixels()
+        squares_out[b, 0, x] = total
+        for y in range(pixels.shape[1]):
+            v = pixels[b, y, x]
+            total += wp.cw_mul(v, v)
+            squares_out[b, y + 1, x] = total
 
     return running_squares
 
 
 @cache
 def make_quiet_floor(dtype: type) -> wp.Kernel:
-    """Build the floor from the rows' sums; launch: one thread per image."""
+    """Build the floor from the columns' sums; launch: one thread per image."""
 
-    @wp.kernel(module=module_of("squares", dtype))
+    @wp.kernel(module=module_of("templates", dtype))
     def quiet_floor(
         squares: wp.array3d(dtype=dtype),
-        counts: wp.array2d(dtype=dtype),
+        busy: wp.array(dtype=dtype),
         spans: wp.array2d(dtype=wp.int32),
         quiet: dtype,
         floor_out: wp.array(dtype=dtype),
     ):
         b = wp.tid()
         total = dtype(0.0)
-        count = dtype(0.0)
-        for y in range(squares.shape[1]):
-            total += squares[b, y, squares.shape[2] - 1]
-            count += counts[b, y]
+        for x in range(squares.shape[2]):
+            total += squares[b, squares.shape[1] - 1, x]
         places = wp.int32(0)
-        for j in range(spans.shape[0]):
-            places += spans[j, 1] - spans[j, 0]
-        floor_out[b] = quiet * dtype(places) * total / wp.max(count, dtype(1.0))
+        for i in range(spans.shape[0]):
+            places += spans[i, 1] - spans[i, 0]
+        floor_out[b] = quiet * dtype(places) * total / wp.max(busy[b], dtype(1.0))
 
     return quiet_floor
 
@@ -93,7 +91,7 @@ def make_correlate_basis(dtype: type, block: int) -> wp.Kernel:
 
     ``pixels[b, y, x]`` is the vector of ``block`` pixels from x on, ``squares`` that of running sums.  The
     last block of a row ends with the row and may overlap the one before: those pixels are computed twice,
-    with the same result.
+    with the same result.  Behind the sums come the energies.
     """
     vec_pixels = vector(block, dtype)
     vec_terms = vector(TERMS, dtype)
@@ -111,8 +109,8 @@ def make_correlate_basis(dtype: type, block: int) -> wp.Kernel:
         x = wp.min(block * k, sums_out.shape[3] - 1)
         size = spans.shape[0]
         energy = vec_pixels()
-        for j in range(size):
-            energy += squares[b, y + j, x + spans[j, 1]] - squares[b, y + j, x + spans[j, 0]]
+        for i in range(size):
+            energy += squares[b, y + spans[i, 1], x + i] - squares[b, y + spans[i, 0], x + i]
         sums_out[b, TERMS, y, x] = energy
         if not wp.max(energy) > floor[b]:
             return
@@ -172,10 +170,11 @@ def make_best_template(dtype: type) -> wp.Kernel:
                         if wp.abs(value) > wp.abs(best):
                             best = value
                             angle = a
-                    if best * best < weakest:
+                    if best * best >= weakest:
+                        best /= wp.sqrt(energy + floor[b])
+                    else:
                         best = dtype(0.0)
                         angle = 0
-                    best /= wp.sqrt(energy + floor[b])
             response_out[b, y, x] = best
             angle_out[b, y, x] = angle
 
@@ -183,37 +182,32 @@ def make_best_template(dtype: type) -> wp.Kernel:
 
 
 def correlate_templates(
-    image, basis, mix, spans, quiet: float, least: float, squares_out, counts_out, floor_out, sums_out,
+    image, busy, basis, mix, spans, quiet: float, least: float, squares_out, floor_out, sums_out,
     response_out, angle_out,
 ) -> None:  # fmt: skip
     """Launch the running sums, the floor, the correlation and the choice; overwrites."""
     dtype, device = image.dtype, image.device
     batch, height, width = response_out.shape
+    block = block_of(device, width)
+    pixels, squares = neighbours(image, block), neighbours(squares_out, block)
     launch(
-        make_running_squares(dtype),
-        image.shape[:2],
-        inputs=[image],
-        outputs=[squares_out, counts_out],
+        make_running_squares(dtype, block),
+        (batch, -(-image.shape[2] // block)),
+        inputs=[pixels],
+        outputs=[squares],
         device=device,
     )
     launch(
         make_quiet_floor(dtype),
         batch,
-        inputs=[squares_out, counts_out, spans, quiet],
+        inputs=[squares_out, busy, spans, quiet],
         outputs=[floor_out],
         device=device,
     )
-    block = block_of(device, width)
     launch(
         make_correlate_basis(dtype, block),
         (batch, height, -(-width // block)),
-        inputs=[
-            neighbours(image, block),
-            last_axis_as_vector(basis),
-            spans,
-            neighbours(squares_out, block),
-            floor_out,
-        ],
+        inputs=[pixels, last_axis_as_vector(basis), spans, squares, floor_out],
         outputs=[neighbours(sums_out, block)],
         device=device,
     )

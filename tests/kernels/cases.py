@@ -117,8 +117,8 @@ def surface_peak(rng, dtype, size=11):
 def clip_outliers(rng, dtype):
     image = rng.normal(size=(B, Y, X)) ** 3 * (rng.random((B, Y, X)) < 0.5)
     image[1] = 0
-    outputs = [filled((B, Y, 2), dtype), filled(B, dtype), filled((B, Y, X), dtype)]
-    return Call("clip_outliers", [image.astype(dtype), 1.7], outputs, scratch=1)
+    outputs = [filled((B, Y, 2), dtype), filled(B, dtype), filled(B, dtype), filled((B, Y, X), dtype)]
+    return Call("clip_outliers", [image.astype(dtype), 1.7], outputs, scratch=2)
 
 
 def reduce_image(rng, dtype):
@@ -127,20 +127,25 @@ def reduce_image(rng, dtype):
     return Call("reduce_image", [image, 1.25], outputs, scratch=1)
 
 
+def mix_images(rng, dtype, width=X):
+    images, weight = rng.normal(size=(4, Y, width)), rng.normal(size=(3, 4))
+    return Call("mix_images", [images.astype(dtype), weight.astype(dtype)], [filled((3, Y, width), dtype)])
+
+
 def correlate_templates(rng, dtype, width=24, n=5):
     image = rng.normal(size=(B, Y + n - 1, width + n - 1)) * (rng.random((B, 1, width + n - 1)) < 0.8)
     image[1, :, : width // 2] = 0
     g = np.arange(n) - n // 2
     disc = (g[:, None] ** 2 + g**2) <= (n // 2) ** 2
-    spans = np.array([(row.argmax(), n - row[::-1].argmax()) for row in disc], np.int32)
+    spans = np.array([(c.argmax(), n - c[::-1].argmax()) for c in disc.T], np.int32)
     basis, _ = np.linalg.qr((rng.normal(size=(n, n, 5)) * disc[..., None]).reshape(-1, 5))
     mix = rng.normal(size=(8, 5))
     mix /= np.linalg.norm(mix, axis=1, keepdims=True)
-    inputs = [image.astype(dtype), basis.reshape(n, n, 5).astype(dtype), mix.astype(dtype), spans, 0.7, 0.2]
-    outputs = [filled((B, Y + n - 1, width + n), dtype), filled((B, Y + n - 1), dtype), filled(B, dtype)]
-    outputs += [filled((B, 6, Y, width), dtype), filled((B, Y, width), dtype)]
-    outputs += [np.full((B, Y, width), -1, np.int32)]
-    return Call("correlate_templates", inputs, outputs, scratch=4)
+    busy = np.array([500.0, 300.0, 0.0], dtype)
+    inputs = [image.astype(dtype), busy, basis.reshape(n, n, 5).astype(dtype), mix.astype(dtype), spans]
+    outputs = [filled((B, Y + n, width + n - 1), dtype), filled(B, dtype), filled((B, 6, Y, width), dtype)]
+    outputs += [filled((B, Y, width), dtype), np.full((B, Y, width), -1, np.int32)]
+    return Call("correlate_templates", [*inputs, 0.7, 0.2], outputs, scratch=3)
 
 
 def local_maxima(rng, dtype, most=3):
@@ -283,6 +288,7 @@ CALLS = [
     surface_peak,
     clip_outliers,
     reduce_image,
+    mix_images,
     correlate_templates,
     local_maxima,
     merge_maxima,

@@ -35,7 +35,7 @@ def one_window(make, rng_seed, dtype, b):
     """The call with window b alone."""
     call = make(np.random.default_rng(rng_seed), dtype)
     shared = {
-        "correlate_templates": (1, 2, 3),
+        "correlate_templates": (2, 3, 4),
         "surface_peak": (1,),
         "match_corners": (1,),
         "code_rhs": (2, 3, 4),
@@ -117,9 +117,10 @@ def test_the_vertex_of_a_paraboloid_is_found(x, y):
 def test_outliers_are_clipped_at_a_multiple_of_the_mean_magnitude():
     image = np.zeros((1, 4, 6))
     image[0, 0, :4] = 1.0, -1.0, 2.0, -16.0
-    clipped = evqr_kernels.clip_outliers(image, factor=2.0)
+    clipped, busy = evqr_kernels.clip_outliers(image, factor=2.0)
+    assert busy == [4]
     np.testing.assert_allclose(clipped[0, 0], [1.0, -1.0, 2.0, -10.0, 0.0, 0.0])
-    np.testing.assert_array_equal(evqr_kernels.clip_outliers(np.zeros((1, 4, 6)), factor=2.0), 0.0)
+    np.testing.assert_array_equal(evqr_kernels.clip_outliers(np.zeros((1, 4, 6)), factor=2.0)[0], 0.0)
 
 
 @pytest.mark.parametrize("ratio", [1.0, 1.25, 2.0, 3.7])
@@ -142,7 +143,8 @@ def test_a_template_answers_to_itself_with_its_sign_and_angle(dtype, rng):
     for angle, sign in ((0, 1), (3, -1), (7, 1)):
         image = np.zeros((1, 20 + n - 1, 20 + n - 1))
         image[0, 9 : 9 + n, 5 : 5 + n] = sign * bank[..., angle]
-        inputs = [a.astype(dtype) for a in (image, basis.reshape(n, n, 5), mix)]
+        busy = np.array([n * n])
+        inputs = [a.astype(dtype) for a in (image, busy, basis.reshape(n, n, 5), mix)]
         response, best = evqr_kernels.correlate_templates(*inputs, spans, quiet=0.1)
         place = np.unravel_index(np.abs(response).argmax(), response.shape)
         assert place == (0, 9, 5)
@@ -153,7 +155,7 @@ def test_a_template_answers_to_itself_with_its_sign_and_angle(dtype, rng):
 
 def test_quiet_places_do_not_answer(placed, dtype, rng):
     call = cases.correlate_templates(rng, dtype)
-    call.inputs[4] = 1e6
+    call.inputs[5] = 1e6
     response, angle = call.run(placed)
     np.testing.assert_array_equal(response, 0)
     np.testing.assert_array_equal(angle, 0)
@@ -161,9 +163,9 @@ def test_quiet_places_do_not_answer(placed, dtype, rng):
 
 def test_weak_responses_are_left_out(placed, dtype, rng):
     call = cases.correlate_templates(rng, dtype)
-    call.inputs[4:] = [0.3, 0.0]
+    call.inputs[5:] = [0.3, 0.0]
     every, angles = call.run(placed)
-    call.inputs[5] = 0.4
+    call.inputs[6] = 0.4
     strong, kept = call.run(placed)
     assert 0.05 < np.mean(strong != 0) < 0.8 * np.mean(every != 0)
     np.testing.assert_array_equal(strong, np.where(np.abs(every) >= 0.4, every, 0))

@@ -65,10 +65,18 @@ def test_right_hand_side_at_any_size(modules, placed, spec, dtype, rng):
 
 @pytest.mark.parametrize("width", [1, 3, 4, 5, 9])
 @pytest.mark.parametrize("ratio", [1.0, 1.25, 2.6, 9.5])
-def test_reduction_at_any_width(width, ratio, placed, spec, dtype, rng):
+@pytest.mark.parametrize("beyond", [0, 3])
+def test_reduction_at_any_width(width, ratio, beyond, placed, spec, dtype, rng):
+    """Coarse pixels beyond the image are 0."""
     image = rng.normal(size=(2, 7, width)).astype(dtype)
-    shape = 2, int(np.ceil(7 / ratio)), int(np.ceil(width / ratio))
+    shape = 2, int(np.ceil(7 / ratio)), int(np.ceil(width / ratio)) + beyond
     call = cases.Call(
         "reduce_image", [image, ratio], [filled((*shape[:2], width), dtype), filled(shape, dtype)], scratch=1
     )
+    assert_close(*call.run(placed), *call.run(spec))
+
+
+@pytest.mark.parametrize("width", [16, 17, 33])
+def test_mixing_at_any_width(width, placed, spec, dtype, rng):
+    call = cases.mix_images(rng, dtype, width=width)
     assert_close(*call.run(placed), *call.run(spec))

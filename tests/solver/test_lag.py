@@ -6,6 +6,7 @@ from scenes import scene
 
 from evqr.config import StageOneConfig
 from evqr.lag import estimate_lag
+from evqr.region import deposit
 from evqr.simulate import SensorConfig
 from evqr.stage_one import align, fine_levels
 
@@ -16,8 +17,9 @@ def estimated(made, workspace, see):
     """What is seen, the alignment without lags, the lags [px], and the alignment with them."""
     seen = see(made)
     without = align(seen.image, seen.in_cells[None], 2, fine_levels(CONFIG), CONFIG, workspace=workspace)
+    cells = deposit(seen.window, seen.velocity, seen.region, workspace=workspace)
     lag_px, found = estimate_lag(
-        seen.window, seen.velocity, seen.region, without.pose[0], 2, CONFIG, workspace=workspace
+        cells, seen.velocity, seen.region, without.pose[0], 2, CONFIG, workspace=workspace
     )
     return seen, without, np.array(lag_px), found
 

@@ -1,5 +1,7 @@
 """Screening of hypotheses: the right one comes first."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from scenes import at, corners, middle_us, moved, scene, window_of
@@ -49,12 +51,23 @@ def test_an_inverted_code_is_screened_alike(workspace):
     assert modules_off(candidates[0], pose, 25, 5.0) < 0.6
 
 
-def test_every_hypothesis_is_a_candidate_and_the_best_come_first(workspace):
+def test_without_a_clear_one_every_hypothesis_is_a_candidate_and_the_best_come_first(workspace):
     pyramid, hypotheses, _ = searched(scene(), workspace)
-    candidates, _ = screen(hypotheses, pyramid, CONFIG, workspace=workspace)
+    never = replace(CONFIG, clear_score=2.0)
+    candidates, _ = screen(hypotheses, pyramid, never, workspace=workspace)
     assert len(candidates) == len(hypotheses)
     assert (np.diff([c.score for c in candidates]) <= 0).all()
     assert sorted(c.version for c in candidates) == sorted(h.version for h in hypotheses)
+
+
+def test_a_clear_one_ends_the_screening_and_is_far_better_than_wrong_versions(workspace):
+    pyramid, hypotheses, _ = searched(scene(), workspace)
+    hypotheses.sort(key=lambda h: h.version != 2)
+    some, _ = screen(hypotheses, pyramid, CONFIG, workspace=workspace)
+    assert {c.version for c in some} == {2}
+    every, _ = screen(hypotheses, pyramid, replace(CONFIG, clear_score=2.0), workspace=workspace)
+    assert some[0].score == every[0].score >= CONFIG.clear_score
+    assert max(c.score for c in every if c.version != 2) < CONFIG.clear_score
 
 
 def test_a_rough_pose_among_wrong_ones_is_refined_and_wins(workspace):
