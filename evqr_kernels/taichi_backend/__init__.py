@@ -54,6 +54,7 @@ class TaichiBackend:
     surface_peak = staticmethod(motion.surface_peak)
     clip_outliers = staticmethod(images.clip_outliers)
     reduce_image = staticmethod(images.reduce_image)
+    mix_images = staticmethod(images.mix_images)
     correlate_templates = staticmethod(templates.correlate_templates)
     local_maxima = staticmethod(peaks.local_maxima)
     merge_maxima = staticmethod(peaks.merge_maxima)
@@ -162,6 +163,7 @@ def _kernels(kernels: KernelSet) -> list[Any]:
         images.make_limit(f32, on_cpu),
         images.make_clip_rows(f32),
         images.make_reduce_image(f32),
+        images.make_mix_images(f32),
         templates.make_running_squares(f32),
         templates.make_quiet_floor(f32, on_cpu),
         templates.make_correlate_basis(f32),

@@ -1,4 +1,4 @@
-"""Images made ready for a search; the definitions are in ``warp_backend/images.py``."""
+"""Images made ready; the definitions are in ``warp_backend/images.py``."""
 
 from functools import cache
 
@@ -30,7 +30,7 @@ def make_limit(dtype, alone: bool):
     """Build the second pass; one thread per image."""
 
     @ti.kernel
-    def limit(rows: array(dtype, 3), factor: dtype, limit_out: array(dtype, 1)):
+    def limit(rows: array(dtype, 3), factor: dtype, limit_out: array(dtype, 1), busy_out: array(dtype, 1)):
         ti.loop_config(serialize=alone)
         for b in range(limit_out.shape[0]):
             total = dtype(0.0)
@@ -38,6 +38,7 @@ def make_limit(dtype, alone: bool):
             for y in range(rows.shape[1]):
                 total += rows[b, y, 0]
                 count += rows[b, y, 1]
+            busy_out[b] = count
             limit_out[b] = factor * total / ti.max(count, dtype(1.0))
 
     return limit
@@ -57,11 +58,11 @@ def make_clip_rows(dtype):
     return clip_rows
 
 
-def clip_outliers(image, factor: float, rows_out, limit_out, image_out) -> None:
+def clip_outliers(image, factor: float, rows_out, limit_out, busy_out, image_out) -> None:
     """Launch the three passes; overwrites."""
     dtype = float_of(image)
     launch(make_measure_rows(dtype), image, rows_out)
-    launch(make_limit(dtype, is_alone(image)), rows_out, factor, limit_out)
+    launch(make_limit(dtype, is_alone(image)), rows_out, factor, limit_out, busy_out)
     launch(make_clip_rows(dtype), image, limit_out, image_out)
 
 
@@ -87,9 +88,15 @@ def make_reduce_image(dtype):
             for x in range(image_out.shape[2]):
                 left = dtype(x) * ratio
                 right = left + ratio
+                start = int(left)
+                end = ti.min(int(ti.ceil(right)), width)
                 total = dtype(0.0)
-                for i in range(int(left), ti.min(int(ti.ceil(right)), width)):
-                    total += (ti.min(right, dtype(i) + one) - ti.max(left, dtype(i))) * rows_out[b, y, i]
+                if start < end:
+                    # all of each pixel, less what of the first and of the last lies outside
+                    total = (dtype(start) - left) * rows_out[b, y, start]
+                    total -= ti.max(dtype(end) - right, dtype(0.0)) * rows_out[b, y, end - 1]
+                    for i in range(start, end):
+                        total += rows_out[b, y, i]
                 image_out[b, y, x] = total
 
     return reduce_image
@@ -98,3 +105,24 @@ def make_reduce_image(dtype):
 def reduce_image(image, ratio: float, rows_out, image_out) -> None:
     """Launch; overwrites."""
     launch(make_reduce_image(float_of(image)), image, ratio, rows_out, image_out)
+
+
+@cache
+def make_mix_images(dtype):
+    """Build the mixing; one thread per (result, row)."""
+
+    @ti.kernel
+    def mix_images(images: array(dtype, 3), weight: array(dtype, 2), images_out: array(dtype, 3)):
+        for n, y in ti.ndrange(images_out.shape[0], images_out.shape[1]):
+            for x in range(images_out.shape[2]):
+                total = dtype(0.0)
+                for k in range(weight.shape[1]):
+                    total += weight[n, k] * images[k, y, x]
+                images_out[n, y, x] = total
+
+    return mix_images
+
+
+def mix_images(images, weight, images_out) -> None:
+    """Launch; overwrites."""
+    launch(make_mix_images(float_of(images)), images, weight, images_out)

@@ -14,32 +14,29 @@ BLOCK = 4
 
 @cache
 def make_running_squares(dtype):
-    """Build the running sums of squares along rows, the first 0; one thread per row."""
+    """Build the running sums of squares down columns, the first 0; one thread per column."""
 
     @ti.kernel
-    def running_squares(image: array(dtype, 3), squares_out: array(dtype, 3), counts_out: array(dtype, 2)):
-        for b, y in ti.ndrange(counts_out.shape[0], counts_out.shape[1]):
+    def running_squares(image: array(dtype, 3), squares_out: array(dtype, 3)):
+        for b, x in ti.ndrange(image.shape[0], image.shape[2]):
             total = dtype(0.0)
-            count = 0
-            squares_out[b, y, 0] = total
-            for x in range(image.shape[2]):
+            squares_out[b, 0, x] = total
+            for y in range(image.shape[1]):
                 value = image[b, y, x]
                 total += value * value
-                count += ti.select(value != dtype(0.0), 1, 0)
-                squares_out[b, y, x + 1] = total
-            counts_out[b, y] = dtype(count)
+                squares_out[b, y + 1, x] = total
 
     return running_squares
 
 
 @cache
 def make_quiet_floor(dtype, alone: bool):
-    """Build the floor from the rows' sums; one thread per image."""
+    """Build the floor from the columns' sums; one thread per image."""
 
     @ti.kernel
     def quiet_floor(
         squares: array(dtype, 3),
-        counts: array(dtype, 2),
+        busy: array(dtype, 1),
         spans: array(ti.i32, 2),
         quiet: dtype,
         floor_out: array(dtype, 1),
@@ -47,14 +44,12 @@ def make_quiet_floor(dtype, alone: bool):
         ti.loop_config(serialize=alone)
         for b in range(floor_out.shape[0]):
             total = dtype(0.0)
-            count = dtype(0.0)
-            for y in range(squares.shape[1]):
-                total += squares[b, y, squares.shape[2] - 1]
-                count += counts[b, y]
+            for x in range(squares.shape[2]):
+                total += squares[b, squares.shape[1] - 1, x]
             places = 0
-            for j in range(spans.shape[0]):
-                places += spans[j, 1] - spans[j, 0]
-            floor_out[b] = quiet * dtype(places) * total / ti.max(count, dtype(1.0))
+            for i in range(spans.shape[0]):
+                places += spans[i, 1] - spans[i, 0]
+            floor_out[b] = quiet * dtype(places) * total / ti.max(busy[b], dtype(1.0))
 
     return quiet_floor
 
@@ -82,11 +77,11 @@ def make_correlate_basis(dtype):
             for k in range((width + BLOCK - 1) // BLOCK):
                 x = ti.min(BLOCK * k, width - BLOCK)
                 energy = ti.Vector.zero(dtype, BLOCK)
-                for j in range(size):
-                    first = x + spans[j, 0]
-                    last = x + spans[j, 1]
+                for i in range(size):
+                    first = y + spans[i, 0]
+                    last = y + spans[i, 1]
                     for p in ti.static(range(BLOCK)):
-                        energy[p] += squares[b, y + j, last + p] - squares[b, y + j, first + p]
+                        energy[p] += squares[b, last, x + i + p] - squares[b, first, x + i + p]
                 if energy.max() > floor[b]:
                     sums = ti.Matrix.zero(dtype, TERMS, BLOCK)
                     for j in range(size):
@@ -132,10 +127,11 @@ def make_best_template(dtype):
                             if ti.abs(value) > ti.abs(best):
                                 best = value
                                 angle = a
-                        if best * best < weakest:
+                        if best * best >= weakest:
+                            best /= ti.sqrt(energy + floor[b])
+                        else:
                             best = dtype(0.0)
                             angle = 0
-                        best /= ti.sqrt(energy + floor[b])
                 response_out[b, y, x] = best
                 angle_out[b, y, x] = angle
 
@@ -143,12 +139,12 @@ def make_best_template(dtype):
 
 
 def correlate_templates(
-    image, basis, mix, spans, quiet: float, least: float, squares_out, counts_out, floor_out, sums_out,
+    image, busy, basis, mix, spans, quiet: float, least: float, squares_out, floor_out, sums_out,
     response_out, angle_out,
 ) -> None:  # fmt: skip
     """Launch the running sums, the floor, the correlation and the choice; overwrites."""
     dtype = float_of(image)
-    launch(make_running_squares(dtype), image, squares_out, counts_out)
-    launch(make_quiet_floor(dtype, is_alone(image)), squares_out, counts_out, spans, quiet, floor_out)
+    launch(make_running_squares(dtype), image, squares_out)
+    launch(make_quiet_floor(dtype, is_alone(image)), squares_out, busy, spans, quiet, floor_out)
     launch(make_correlate_basis(dtype), image, basis, spans, squares_out, floor_out, sums_out)
     launch(make_best_template(dtype), sums_out, mix, floor_out, least, response_out, angle_out)
