@@ -105,7 +105,7 @@ class KernelBackend(Protocol):
         frame: Array, adj_image: Array, chunks_out: Array, adj_weight_out: Array, adj_motion_out: Array,
         cfg: SplatConfig,
     ) -> None:  # fmt: skip
-        """Adjoint of `splat_events` in weight and motion; ``chunks_out`` is (B, any number of chunks, 2)."""
+        """Adjoint of `splat_events` in weight and motion (B, P); ``chunks_out`` is (B, any chunks, P)."""
         ...
 
     def deposit_events(
@@ -230,6 +230,30 @@ class KernelBackend(Protocol):
         """Right-hand side of stage two; ``samples_out`` is (B, S, S), ``rows_out`` (B, 2, S, M)."""
         ...
 
+    def pose_normal_equations(
+        self, moments: Array, gram: Array, terms: Array, factors: Array, ridge: float, gain_out: Array,
+        matrix_out: Array, rhs_out: Array,
+    ) -> None:  # fmt: skip
+        """Gain (N, 2), matrix (N, n, n) and right-hand side (N, n) of a step on poses, from moments."""
+        ...
+
+    def code_normal_equations(
+        self, image: Array, pose: Array, lattice: Array, profile: Array, slope: Array, gain: Array,
+        samples_a_module: int, samples_out: Array, rows_out: Array, stencil_out: Array, rhs_out: Array,
+    ) -> None:  # fmt: skip
+        """Stencil of A^T A, and A^T E with scratch as in `code_rhs`."""
+        ...
+
+    def code_product(self, q: Array, stencil: Array, damping: Array, free: Array, product_out: Array) -> None:
+        """Product (stencil + damping I) q on the free modules, 0 elsewhere."""
+        ...
+
+    def solve_code_banded(
+        self, rhs: Array, stencil: Array, damping: Array, free: Array, band_out: Array, q_inout: Array
+    ) -> None:
+        """Banded Cholesky over free modules; ``band_out`` is (B, M^2, (K // 2) (M + 1) + 1)."""
+        ...
+
     def solve_code(
         self, rhs: Array, stencil: Array, damping: Array, free: Array, q_inout: Array,
         scratch: tuple[Array, ...], iterations_out: Array, *, max_iterations: int, tolerance: float,
@@ -237,15 +261,17 @@ class KernelBackend(Protocol):
         """Conjugate gradients over free modules; ``scratch`` is four (B, M, M) and two (B, 4, M)."""
         ...
 
-    def render_affine(self, grid: Array, affine: Array, outside: Array, image_out: Array) -> None:
-        """Image of a grid under an affine map, bilinear."""
+    def render_code(
+        self, grid: Array, to_grid: Array, outside: Array, sigma: float, image_out: Array
+    ) -> None:
+        """Image of a grid under an affine map (B, 6) or a homography (B, 8); bilinear with ``sigma`` 0."""
         ...
 
-    def render_affine_adjoint(
-        self, grid: Array, affine: Array, outside: Array, adj_image: Array, rows_out: Array,
-        adj_grid_out: Array, adj_affine_out: Array,
+    def render_code_adjoint(
+        self, grid: Array, to_grid: Array, outside: Array, sigma: float, adj_image: Array, rows_out: Array,
+        adj_grid_out: Array, adj_to_grid_out: Array,
     ) -> None:  # fmt: skip
-        """Adjoint of `render_affine` in grid and affine; ``rows_out`` is (B, Y, 6)."""
+        """Adjoint of `render_code` in grid and map (B, P); ``rows_out`` is (B, Y, P)."""
         ...
 
     def brightness_residual(
@@ -282,10 +308,14 @@ OPS = (
     "sample_moments",
     "sample_moments_adjoint",
     "align_poses",
+    "pose_normal_equations",
     "code_rhs",
+    "code_normal_equations",
+    "code_product",
     "solve_code",
-    "render_affine",
-    "render_affine_adjoint",
+    "solve_code_banded",
+    "render_code",
+    "render_code_adjoint",
     "brightness_residual",
     "brightness_residual_adjoint",
 )

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from typing import Any
 
 import numpy as np
@@ -12,6 +13,21 @@ Ints = NDArray[np.int32]
 
 Extent = str | int
 """A size that is given, or a letter that stands for the same size in every array of a call."""
+
+
+MOST_ELEMENTS = 2**31 - 1
+"""Of an array: indices are 32 bits wide."""
+
+MOST_EVENTS = 2**30
+"""Of a call: kernels add a window's first event to the number of one within it."""
+
+
+def check_size(name: str, shape: tuple[int, ...]) -> None:
+    """Raise ValueError for an array with more elements than an index can tell apart."""
+    if math.prod(shape) > MOST_ELEMENTS:
+        raise ValueError(
+            f"{name} must have fewer than {MOST_ELEMENTS + 1} elements, got {math.prod(shape)}: cut the batch"
+        )
 
 
 class ArrayChecks:
@@ -31,6 +47,15 @@ class ArrayChecks:
         if array.dtype != self.dtype:
             raise TypeError(f"{name} must be {self.dtype} like the arrays before it, got {array.dtype}")
         self._shape(name, array, shape)
+
+    def parameters(self, name: str, array: Any, counts: tuple[int, ...]) -> None:
+        """Raise unless ``array`` is of floats, with one of the counts of parameters for each window."""
+        self._numpy(name, array)
+        count = array.shape[-1] if array.ndim else 0
+        if len(counts) > 1 and count not in counts:
+            wanted = " or ".join(f"(B, {count})" for count in counts)
+            raise ValueError(f"{name} must have shape {wanted}, got {array.shape}")
+        self.floats(name, array, "B", count if count in counts else min(counts))
 
     def ints(self, name: str, array: Any, *shape: Extent) -> None:
         """Raise unless ``array`` is int32 and has the shape."""
@@ -77,6 +102,11 @@ class ArrayChecks:
             raise TypeError(f"{name} must be a NumPy array, got {type(array).__name__}")
 
     def _shape(self, name: str, array: Any, shape: tuple[Extent, ...]) -> None:
+        check_size(name, array.shape)
+        if shape == ("E",) and len(array) > MOST_EVENTS:
+            raise ValueError(
+                f"{name} must have at most {MOST_EVENTS} events, got {len(array)}: cut the batch"
+            )
         want = "(" + ", ".join(map(str, shape)) + (",)" if len(shape) == 1 else ")")
         if array.ndim != len(shape):
             raise ValueError(f"{name} must have shape {want}, got {array.shape}")

@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import DTypeLike, NDArray
 
 from evqr_kernels.backend import get_backend, require_device
-from evqr_kernels.checks import ArrayChecks
+from evqr_kernels.checks import ArrayChecks, check_size
 
 CHUNK = 512
 """Events or samples that one thread adds up."""
@@ -34,10 +34,12 @@ class Launch:
 
     def scratch(self, *shape: int) -> Any:
         """Make a device array for partial sums."""
+        check_size("scratch", shape)
         return self.backend.empty(shape, self.dtype, self.device)
 
     def result(self, out: NDArray[Any] | None, *shape: int, dtype: DTypeLike | None = None) -> Any:
         """Give the device array of a result: the contents of ``out``, which gets the result, or zeros."""
+        check_size("result", shape)
         host = np.zeros(shape, dtype or self.dtype) if out is None else out
         on_device = self.backend.from_host(host, self.device)
         self._results.append((host, on_device))

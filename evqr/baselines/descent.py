@@ -42,6 +42,9 @@ from evqr_kernels.config import SplatConfig
 CURVATURE = 3.5
 """Largest curvature in q of half the squared residual, over |m|^2: measured 2.0 to 3.4 at all angles."""
 
+BILINEAR = 0.0
+"""Blur of a module's profile [modules]: none, equation 5."""
+
 MARGIN_PX = 4.0
 """Image around the quiet zone [px]."""
 
@@ -257,7 +260,7 @@ class Problem:
         )
 
     def _render(self, grid: Any, affine: Any, outside: Any, image: Any) -> NDArray[Any]:
-        self._workspace.backend.render_affine(grid, affine, outside, image)
+        self._workspace.backend.render_code(grid, affine, outside, BILINEAR, image)
         return self._workspace.get(image)[0]
 
     def known_pixels(self, affine: NDArray[np.float64]) -> NDArray[np.bool_]:
@@ -343,10 +346,11 @@ class Problem:
         adj_grid = self._buffer("adj grid", (1, *self.free.shape))
         adj_affine = self._buffer("adj affine", (1, 6))
         rows = self._buffer("affine rows", (1, self._shape[1], 6))
-        self._workspace.backend.render_affine_adjoint(
+        self._workspace.backend.render_code_adjoint(
             grid,
             self._put(self._grid_from_image(affine)),
             self._light,
+            BILINEAR,
             adj_luminance,
             rows,
             adj_grid,

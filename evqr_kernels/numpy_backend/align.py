@@ -3,9 +3,9 @@
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
 
 from evqr_kernels.numpy_backend.pose import bilinear, project
+from evqr_kernels.numpy_backend.pose_normal import jacobian_of
 
 
 def align_poses(
@@ -29,7 +29,7 @@ def align_poses(
             result_out[h] = (*gain, score, noise, iterations)
             if last or iterations >= max_iterations:
                 break
-            jacobian = _jacobian(gain, terms, factors, len(gram))
+            jacobian = jacobian_of(gain, terms, factors, len(gram))
             matrix = jacobian @ gram @ jacobian.T
             diagonal = np.diag(matrix)
             matrix = matrix + np.diag(damping * diagonal + 1e-7 * diagonal.sum() + 1e-12)
@@ -50,11 +50,3 @@ def align_poses(
             pose_inout[h] = (moved / moved[2, 2]).ravel()
             iterations += 1
             last = size < tolerance
-
-
-def _jacobian(gain: NDArray, terms: NDArray, factors: NDArray, columns: int) -> NDArray[np.float64]:
-    value = np.array([0.0, gain[0], gain[1], 1.0])
-    jacobian = np.zeros((len(terms), columns))
-    for parameter, (columns_of, kinds) in enumerate(zip(terms, factors, strict=True)):
-        np.add.at(jacobian[parameter], columns_of, value[kinds])
-    return jacobian

@@ -1,64 +1,111 @@
-"""Image of a grid under an affine map; the formulas are in ``warp_backend/render.py``."""
+"""Image of a grid under a map; the formulas are in ``warp_backend/render.py`` and ``render_adjoint.py``."""
 
 from __future__ import annotations
 
+import math
 from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
+EDGE = 6.0
+"""Standard deviations from an edge of a module at which its blur ends."""
 
-def render_affine(grid, affine, outside, image_out) -> None:
-    """Image of a grid under an affine map, bilinear; overwrites."""
+
+def _erf(z: NDArray) -> NDArray[np.float64]:
+    return np.array([math.erf(value) for value in z.ravel()]).reshape(z.shape)
+
+
+def render_code(grid, to_grid, outside, sigma, image_out) -> None:
+    """Image of a grid under an affine map or a homography; overwrites."""
     for b in range(len(grid)):
-        cell = _cells(grid[b], affine[b], outside[b], image_out.shape[1:])
-        (q00, q01), (q10, q11) = cell.nodes
-        top, bottom = q00 + cell.fu * (q01 - q00), q10 + cell.fu * (q11 - q10)
+        seen = _seen(grid[b], to_grid[b], outside[b], sigma, image_out.shape[1:])
         image_out[b] = outside[b]
-        image_out[b][cell.near] = top + cell.fv * (bottom - top)
+        image_out[b][seen.near] = np.einsum("pj,pi,pji->p", seen.share_v, seen.share_u, seen.nodes)
 
 
-def render_affine_adjoint(grid, affine, outside, adj_image, rows_out, adj_grid_out, adj_affine_out) -> None:
-    """Adjoint of `render_affine` in grid and affine; overwrites."""
+def render_code_adjoint(
+    grid, to_grid, outside, sigma, adj_image, rows_out, adj_grid_out, adj_to_grid_out
+) -> None:
+    """Adjoint of `render_code` in grid and map; overwrites."""
     for b in range(len(grid)):
-        cell = _cells(grid[b], affine[b], outside[b], adj_image.shape[1:])
-        adj = adj_image[b][cell.near]
-        (q00, q01), (q10, q11) = cell.nodes
-        adj_u = adj * ((1 - cell.fv) * (q01 - q00) + cell.fv * (q11 - q10))
-        adj_v = adj * ((1 - cell.fu) * (q10 - q00) + cell.fu * (q11 - q01))
-        y, x = (axis.astype(grid.dtype) for axis in np.nonzero(cell.near))
-        adj_affine_out[b] = [np.sum(along * by) for along in (adj_u, adj_v) for by in (x, y, np.ones_like(x))]
+        seen = _seen(grid[b], to_grid[b], outside[b], sigma, adj_image.shape[1:])
+        adj = adj_image[b][seen.near]
+        image_du = np.einsum("pj,pi,pji->p", seen.share_v, seen.slope_u, seen.nodes)
+        image_dv = np.einsum("pj,pi,pji->p", seen.slope_v, seen.share_u, seen.nodes)
+        y, x = (axis.astype(grid.dtype) for axis in np.nonzero(seen.near))
+        adj_u, adj_v = adj * image_du * seen.inverse_depth, adj * image_dv * seen.inverse_depth
+        sums = [np.sum(along * by) for along in (adj_u, adj_v) for by in (x, y, np.ones_like(x))]
+        sums += [-np.sum((adj_u * seen.u + adj_v * seen.v) * by) for by in (x, y)]
+        adj_to_grid_out[b] = sums[: to_grid.shape[1]]
 
-        adj_padded = np.zeros((grid.shape[1] + 2, grid.shape[2] + 2), grid.dtype)
-        for dj, share_v in ((0, 1 - cell.fv), (1, cell.fv)):
-            for di, share_u in ((0, 1 - cell.fu), (1, cell.fu)):
-                np.add.at(adj_padded, (cell.row + dj, cell.column + di), adj * share_v * share_u)
-        adj_grid_out[b] = adj_padded[1:-1, 1:-1]
+        share = adj[:, None, None] * seen.share_v[:, :, None] * seen.share_u[:, None, :]
+        row, column = np.broadcast_arrays(seen.row[:, :, None], seen.column[:, None, :])
+        inside = _inside(row, column, grid.shape[1:])
+        adj_grid_out[b] = 0
+        np.add.at(adj_grid_out[b], (row[inside], column[inside]), share[inside])
 
 
-class _Cells(NamedTuple):
-    """Where the V pixels that the grid reaches fall in the grid, which gets a border of ``outside`` first."""
+class _Seen(NamedTuple):
+    """What the V pixels that see the grid see: T nodes along each axis."""
 
-    near: NDArray  # (Y, X) whether the grid reaches the pixel
-    row: NDArray  # (V,) of the cell's first node, in the grid with its border
+    near: NDArray  # (Y, X) whether the pixel sees a node
+    u: NDArray  # (V,) where it looks
+    v: NDArray
+    inverse_depth: NDArray
+    row: NDArray  # (V, T) of the nodes, which may lie beyond the grid
     column: NDArray
-    fu: NDArray  # (V,) position in the cell
-    fv: NDArray
-    nodes: tuple[tuple[NDArray, NDArray], tuple[NDArray, NDArray]]  # (V,) each: the cell's four nodes
+    share_u: NDArray  # (V, T) the modules' profile
+    share_v: NDArray
+    slope_u: NDArray
+    slope_v: NDArray
+    nodes: NDArray  # (V, T, T)
 
 
-def _cells(grid: NDArray, affine: NDArray, outside, shape: tuple[int, ...]) -> _Cells:
-    rows, columns = grid.shape
-    y, x = (axis.astype(grid.dtype) for axis in np.indices(shape))
-    u = affine[0] * x + affine[1] * y + affine[2]
-    v = affine[3] * x + affine[4] * y + affine[5]
-    near = (u > -1) & (v > -1) & (u < columns) & (v < rows)
-    u, v = u[near], v[near]
-    left, above = np.floor(u), np.floor(v)
-    padded = np.pad(grid, 1, constant_values=outside)
-    row, column = above.astype(int) + 1, left.astype(int) + 1
-    nodes = (
-        (padded[row, column], padded[row, column + 1]),
-        (padded[row + 1, column], padded[row + 1, column + 1]),
+def _seen(grid: NDArray, to_grid: NDArray, outside, sigma: float, shape: tuple[int, ...]) -> _Seen:
+    dtype, (rows, columns) = grid.dtype, grid.shape
+    reach = dtype.type(0.5 + EDGE * sigma if sigma else 1.0)
+    w = np.append(to_grid, np.zeros(8 - len(to_grid), dtype))
+    y, x = (axis.astype(dtype) for axis in np.indices(shape))
+    depth = w[6] * x + (w[7] * y + 1)
+    with np.errstate(divide="ignore", invalid="ignore"):
+        inverse_depth = np.where(depth > 0, 1 / depth, 0)
+        u = (w[0] * x + (w[1] * y + w[2])) * inverse_depth
+        v = (w[3] * x + (w[4] * y + w[5])) * inverse_depth
+    near = (
+        (inverse_depth > 0) & (u > -reach) & (v > -reach) & (u < columns - 1 + reach) & (v < rows - 1 + reach)
     )
-    return _Cells(near, row, column, u - left, v - above, nodes)
+    u, v = u[near], v[near]
+    column, share_u, slope_u = _profile(u, sigma, reach)
+    row, share_v, slope_v = _profile(v, sigma, reach)
+    j, i = np.broadcast_arrays(row[:, :, None], column[:, None, :])
+    inside = _inside(j, i, grid.shape)
+    nodes = np.where(inside, grid[np.where(inside, j, 0), np.where(inside, i, 0)], outside)
+    return _Seen(near, u, v, inverse_depth[near], row, column, share_u, share_v, slope_u, slope_v, nodes)
+
+
+def _inside(row: NDArray, column: NDArray, shape: tuple[int, ...]) -> NDArray[np.bool_]:
+    return (row >= 0) & (column >= 0) & (row < shape[0]) & (column < shape[1])
+
+
+def _profile(u: NDArray, sigma: float, reach) -> tuple[NDArray, NDArray, NDArray]:
+    """Nodes (V, T) that positions see along an axis, and the profile and its slope there."""
+    taps = math.ceil(2.0 * (0.5 + EDGE * sigma)) if sigma else 2
+    first = np.floor(u - reach).astype(int) + 1 if sigma else np.floor(u).astype(int)
+    node = first[:, None] + np.arange(taps)
+    s = u[:, None] - node.astype(u.dtype)
+    if not sigma:
+        return node, 1 - np.abs(s), np.where(s < 0, 1, -1).astype(u.dtype)
+    half, inverse_sigma = u.dtype.type(0.5), u.dtype.type(1.0 / sigma)
+    before, before_slope = _edge((s + half) * inverse_sigma)
+    after, after_slope = _edge((s - half) * inverse_sigma)
+    return node, before - after, (before_slope - after_slope) * inverse_sigma
+
+
+def _edge(z: NDArray) -> tuple[NDArray, NDArray]:
+    """Give the blurred edge and its slope; from `EDGE` on it is 0 or 1."""
+    stretch = 1.0 / math.erf(EDGE * math.sqrt(0.5))
+    value = 0.5 + 0.5 * stretch * _erf(z * math.sqrt(0.5))
+    value = np.where(z >= EDGE, 1.0, np.where(z > -EDGE, value, 0.0))
+    slope = np.where(np.abs(z) < EDGE, stretch * np.exp(-0.5 * z * z) / math.sqrt(2.0 * math.pi), 0.0)
+    return value.astype(z.dtype), slope.astype(z.dtype)

@@ -18,7 +18,7 @@ def solve_code(
 
 def _solve_window(rhs, stencil, damping, free, q, max_iterations, tolerance) -> int:
     def system(field: NDArray) -> NDArray:
-        return np.where(free, _apply(stencil, field) + damping * field, 0).astype(rhs.dtype)
+        return np.where(free, apply_stencil(stencil, field) + damping * field, 0).astype(rhs.dtype)
 
     residual = np.where(free, -rhs, 0) - system(q)
     direction = np.zeros_like(residual)
@@ -35,7 +35,7 @@ def _solve_window(rhs, stencil, damping, free, q, max_iterations, tolerance) -> 
     return max_iterations
 
 
-def _apply(stencil: NDArray, field: NDArray) -> NDArray:
+def apply_stencil(stencil: NDArray, field: NDArray) -> NDArray:
     """Correlate with the stencil; outside the grid everything is 0."""
     reach = len(stencil) // 2
     rows, columns = field.shape

@@ -61,8 +61,10 @@ def splat_events_adjoint(
     slope_y = total(taps.g_x - lag_x * taps.s_x, taps.s_y) - total(lag_y * taps.g_x, taps.c_y)
     window = taps.window[:, 0, 0]
     factor = weight[taps.event] * t[taps.event] / frame[window, 2]
+    adj_x, adj_y, dx, dy = factor * slope_x, factor * slope_y, taps.dx, taps.dy
+    adj_motion = np.stack([adj_x, adj_y, adj_x * dx, adj_x * dy, adj_y * dx, adj_y * dy], axis=1)
     adj_motion_out[:] = 0
-    np.add.at(adj_motion_out, window, factor[:, None] * np.stack([slope_x, slope_y], axis=1))
+    np.add.at(adj_motion_out, window, adj_motion[:, : adj_motion_out.shape[1]])
 
 
 def splat_profile(r: NDArray, cfg: SplatConfig) -> tuple[NDArray, NDArray, NDArray]:
@@ -93,15 +95,20 @@ class _Taps(NamedTuple):
     c_y: NDArray
     lag_x: NDArray  # (V, 1) lag times direction of the motion
     lag_y: NDArray
+    dx: NDArray  # (V,) from the middle of the image [px]
+    dy: NDArray
 
 
 def _taps(x, y, t, weight, window_ptr, motion, lag, frame, shape, cfg: SplatConfig) -> _Taps:
     _, height, width = shape
     half = x.dtype.type(0.5)
     window = _window_of_event(window_ptr, len(x))
-    m, origin, inverse_scale = motion[window], frame[window, :2], 1 / frame[window, 2]
-    cx = (x - t * m[:, 0] - origin[:, 0] + half) * inverse_scale - half
-    cy = (y - t * m[:, 1] - origin[:, 1] + half) * inverse_scale - half
+    origin, scale = frame[window, :2], frame[window, 2]
+    dx = x - (origin[:, 0] - half + half * scale * x.dtype.type(width))
+    dy = y - (origin[:, 1] - half + half * scale * x.dtype.type(height))
+    m = _velocity(motion[window], dx, dy)
+    cx = (x - t * m[:, 0] - origin[:, 0] + half) / scale - half
+    cy = (y - t * m[:, 1] - origin[:, 1] + half) / scale - half
     margin = 2 * cfg.reach + 1
     # also false for NaN
     event = np.flatnonzero((cx > -margin) & (cy > -margin) & (cx < width + margin) & (cy < height + margin))
@@ -124,7 +131,17 @@ def _taps(x, y, t, weight, window_ptr, motion, lag, frame, shape, cfg: SplatConf
         *splat_profile((row[:, :, 0] - cy[:, None]).astype(x.dtype), cfg),
         (lag_px * m[:, 0])[:, None],
         (lag_px * m[:, 1])[:, None],
+        dx[event],
+        dy[event],
     )
+
+
+def _velocity(motion: NDArray, dx: NDArray, dy: NDArray) -> NDArray:
+    """Velocity (E, 2) at (dx, dy) from the middle of the image, of motions (E, 2) or (E, 6)."""
+    if motion.shape[1] == 2:
+        return motion
+    field = motion[:, 2:].reshape(-1, 2, 2)
+    return motion[:, :2] + field[:, :, 0] * dx[:, None] + field[:, :, 1] * dy[:, None]
 
 
 def _window_of_event(window_ptr: NDArray, count: int) -> NDArray:

@@ -34,11 +34,17 @@ from evqr_kernels.ops.images import (
     reduce_image,
     surface_peak,
 )
+from evqr_kernels.ops.normal import (
+    code_normal_equations,
+    code_product,
+    pose_normal_equations,
+    solve_code_banded,
+)
 from evqr_kernels.ops.render import (
     brightness_residual,
     brightness_residual_adjoint,
-    render_affine,
-    render_affine_adjoint,
+    render_code,
+    render_code_adjoint,
 )
 
 __all__ = [
@@ -47,6 +53,8 @@ __all__ = [
     "brightness_residual",
     "brightness_residual_adjoint",
     "clip_outliers",
+    "code_normal_equations",
+    "code_product",
     "code_rhs",
     "correlate_templates",
     "deposit_events",
@@ -58,12 +66,14 @@ __all__ = [
     "merge_maxima",
     "mix_images",
     "motion_correlation",
+    "pose_normal_equations",
     "reduce_image",
-    "render_affine",
-    "render_affine_adjoint",
+    "render_code",
+    "render_code_adjoint",
     "sample_moments",
     "sample_moments_adjoint",
     "solve_code",
+    "solve_code_banded",
     "splat_events",
     "splat_events_adjoint",
     "surface_peak",

@@ -6,57 +6,74 @@ from evqr_kernels.checks import ArrayChecks, Floats
 from evqr_kernels.launch import Launch
 
 
-def render_affine(
-    grid: Floats, affine: Floats, outside: Floats, *, shape: tuple[int, int] | None = None,
-    out: Floats | None = None, backend: str = "auto", device: str | None = None,
+def render_code(
+    grid: Floats, to_grid: Floats, outside: Floats, *, sigma: float = 0.0,
+    shape: tuple[int, int] | None = None, out: Floats | None = None, backend: str = "auto",
+    device: str | None = None,
 ) -> Floats:  # fmt: skip
-    """Image of a grid of modules under an affine map, bilinear.
+    """Image of a grid of modules under an affine map or a homography.
 
     Parameters
     ----------
     grid : (B, G, H)     values at the nodes; integers of grid coordinates are module centres
-    affine : (B, 6)      image pixel to grid: u = W_0 x + W_1 y + W_2, v = W_3 x + W_4 y + W_5
+    to_grid : (B, 6) or (B, 8)
+        image pixel to grid: u = (W_0 x + W_1 y + W_2) / d, v = (W_3 x + W_4 y + W_5) / d with d = 1, or
+        d = W_6 x + W_7 y + 1 where that is positive
     outside : (B,)       value beyond the grid
+    sigma [modules]      a module is a box blurred by a Gaussian of 0.02 to 1; 0: bilinear between the nodes
     shape                (Y, X) of the image; not needed with ``out``
     out : (B, Y, X)      OVERWRITTEN; made when None
 
     Returns
     -------
     (B, Y, X)
+
+    Notes
+    -----
+    One thread a row of pixels, each pixel written once: results repeat bit for bit.
+
+    See Also
+    --------
+    render_code_adjoint, brightness_residual
     """
     checks = ArrayChecks()
-    _check_render(checks, grid, affine, outside)
+    _check_render(checks, grid, to_grid, outside, sigma)
     size = checks.image_shape(out, shape)
-    launch = Launch("render_affine", checks, backend, device)
-    launch.run(*launch.put(grid, affine, outside), launch.result(out, *size))
+    launch = Launch("render_code", checks, backend, device)
+    launch.run(*launch.put(grid, to_grid, outside), sigma, launch.result(out, *size))
     return launch.results()[0]
 
 
-def render_affine_adjoint(
-    grid: Floats, affine: Floats, outside: Floats, adj_image: Floats, *, backend: str = "auto",
-    device: str | None = None,
+def render_code_adjoint(
+    grid: Floats, to_grid: Floats, outside: Floats, adj_image: Floats, *, sigma: float = 0.0,
+    backend: str = "auto", device: str | None = None,
 ) -> tuple[Floats, Floats]:  # fmt: skip
-    """Adjoint of `render_affine`.
+    """Adjoint of `render_code` in grid and map.
 
     Parameters
     ----------
     adj_image : (B, Y, X)   derivative of the loss with respect to the image
-    others                  as in `render_affine`
+    others                  as in `render_code`
 
     Returns
     -------
-    (B, G, H), (B, 6)   derivatives of the loss with respect to grid and affine
+    (B, G, H), (B, 6) or (B, 8)   derivatives of the loss with respect to grid and map
+
+    Notes
+    -----
+    Rows of pixels, and on a GPU nodes, add up on a thread each: results repeat bit for bit.
     """
     checks = ArrayChecks()
-    _check_render(checks, grid, affine, outside)
+    _check_render(checks, grid, to_grid, outside, sigma)
     checks.floats("adj_image", adj_image, "B", "Y", "X")
-    launch = Launch("render_affine_adjoint", checks, backend, device)
+    launch = Launch("render_code_adjoint", checks, backend, device)
     batch, height, _ = adj_image.shape
-    inputs = launch.put(grid, affine, outside, adj_image)
-    rows = launch.scratch(batch, height, 6)
-    launch.run(*inputs, rows, launch.result(None, *grid.shape), launch.result(None, batch, 6))
-    adj_grid, adj_affine = launch.results()
-    return adj_grid, adj_affine
+    inputs = launch.put(grid, to_grid, outside, adj_image)
+    rows = launch.scratch(batch, height, to_grid.shape[1])
+    adj_grid, adj_to_grid = launch.result(None, *grid.shape), launch.result(None, *to_grid.shape)
+    launch.run(*inputs[:3], sigma, inputs[3], rows, adj_grid, adj_to_grid)
+    adj_grid, adj_to_grid = launch.results()
+    return adj_grid, adj_to_grid
 
 
 def brightness_residual(
@@ -119,7 +136,9 @@ def brightness_residual_adjoint(
     return adj_luminance, adj_motion
 
 
-def _check_render(checks: ArrayChecks, grid: Floats, affine: Floats, outside: Floats) -> None:
+def _check_render(checks: ArrayChecks, grid: Floats, to_grid: Floats, outside: Floats, sigma: float) -> None:
     checks.floats("grid", grid, "B", "G", "H")
-    checks.floats("affine", affine, "B", 6)
+    checks.parameters("to_grid", to_grid, (6, 8))
     checks.floats("outside", outside, "B")
+    if not (sigma == 0.0 or 0.02 <= sigma <= 1.0):
+        raise ValueError(f"sigma must be 0, or 0.02 to 1, got {sigma}")

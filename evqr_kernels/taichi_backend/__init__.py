@@ -15,14 +15,18 @@ from evqr_kernels.backend import OPS
 from evqr_kernels.config import DEFAULT_KERNELS, KernelSet
 from evqr_kernels.taichi_backend import (
     align,
+    banded,
     code,
+    code_normal,
     images,
     lag,
     lag_adjoint,
     motion,
     peaks,
     pose,
+    pose_normal,
     render,
+    render_adjoint,
     residual,
     runtime,
     solve,
@@ -62,10 +66,14 @@ class TaichiBackend:
     sample_moments = staticmethod(pose.sample_moments)
     sample_moments_adjoint = staticmethod(pose.sample_moments_adjoint)
     align_poses = staticmethod(align.align_poses)
+    pose_normal_equations = staticmethod(pose_normal.pose_normal_equations)
     code_rhs = staticmethod(code.code_rhs)
+    code_normal_equations = staticmethod(code_normal.code_normal_equations)
+    code_product = staticmethod(code_normal.code_product)
     solve_code = staticmethod(solve.solve_code)
-    render_affine = staticmethod(render.render_affine)
-    render_affine_adjoint = staticmethod(render.render_affine_adjoint)
+    solve_code_banded = staticmethod(banded.solve_code_banded)
+    render_code = staticmethod(render.render_code)
+    render_code_adjoint = staticmethod(render_adjoint.render_code_adjoint)
     brightness_residual = staticmethod(residual.brightness_residual)
     brightness_residual_adjoint = staticmethod(residual.brightness_residual_adjoint)
 

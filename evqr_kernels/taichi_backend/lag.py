@@ -4,7 +4,8 @@ from functools import cache
 
 from evqr_kernels.taichi_backend.language import array, float_of, ti
 from evqr_kernels.taichi_backend.launches import launch
-from evqr_kernels.taichi_backend.splat import events_a_thread, make_add, make_transport, owners
+from evqr_kernels.taichi_backend.splat import events_a_thread, make_add, owners
+from evqr_kernels.taichi_backend.transport import make_transport
 
 
 @cache

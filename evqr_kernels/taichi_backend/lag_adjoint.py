@@ -4,7 +4,7 @@ from functools import cache
 
 from evqr_kernels.taichi_backend.language import array, float_of, ti
 from evqr_kernels.taichi_backend.launches import launch
-from evqr_kernels.taichi_backend.splat import make_transport
+from evqr_kernels.taichi_backend.transport import make_transport
 
 
 @ti.func

@@ -1,8 +1,9 @@
-"""exp, log and atan2 in both precisions on every device: Vulkan has none of them for float64.
+"""exp, log, atan2 and erf in both precisions on every device: Vulkan has none of them for float64.
 
     exp(x) = 2^n exp(r),            n = round(x / ln 2),    r = x - n ln 2 in [-0.35, 0.35], by its series
     log(x) = y + 2 (x - e) / (x + e),    y = log(x) in float32,    e = exp(y)
     atan(z) = 2 atan(z / (1 + sqrt(1 + z^2)))   twice, which leaves less than 0.2, then by its series
+    erf(x)  = 2 / sqrt(pi) exp(-x^2) (x + 2 x^3 / 3 + 4 x^5 / 15 + ...), all of one sign
 
 In float64, which is for gradient checks, they take their time.
 """
@@ -97,3 +98,27 @@ def make_atan2(dtype):
         return angle
 
     return atan2_32 if dtype == ti.f32 else atan2_64
+
+
+TWO_BY_SQRT_PI = 2.0 / math.sqrt(PI)
+
+
+@cache
+def make_erf(dtype):
+    """Build the error function, up to about 5 on either side, which no device has; in float64 inside."""
+    f64 = ti.f64
+    exp = make_exp(f64)
+
+    @ti.func
+    def erf(x):
+        square = f64(x) * f64(x)
+        term = f64(TWO_BY_SQRT_PI) * f64(x) * exp(-square)
+        total = term
+        n = f64(1.0)
+        while ti.abs(term) > f64(1e-18):
+            n += f64(2.0)
+            term *= f64(2.0) * square / n
+            total += term
+        return dtype(total)
+
+    return erf

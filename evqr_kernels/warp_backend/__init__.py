@@ -17,14 +17,18 @@ from evqr_kernels.config import DEFAULT_KERNELS, KernelSet
 from evqr_kernels.native_output import without_lines
 from evqr_kernels.warp_backend import (
     align,
+    banded,
     code,
+    code_normal,
     images,
     lag,
     lag_adjoint,
     motion,
     peaks,
     pose,
+    pose_normal,
     render,
+    render_adjoint,
     residual,
     solve,
     splat,
@@ -61,10 +65,14 @@ class WarpBackend:
     sample_moments = staticmethod(pose.sample_moments)
     sample_moments_adjoint = staticmethod(pose.sample_moments_adjoint)
     align_poses = staticmethod(align.align_poses)
+    pose_normal_equations = staticmethod(pose_normal.pose_normal_equations)
     code_rhs = staticmethod(code.code_rhs)
+    code_normal_equations = staticmethod(code_normal.code_normal_equations)
+    code_product = staticmethod(code_normal.code_product)
     solve_code = staticmethod(solve.solve_code)
-    render_affine = staticmethod(render.render_affine)
-    render_affine_adjoint = staticmethod(render.render_affine_adjoint)
+    solve_code_banded = staticmethod(banded.solve_code_banded)
+    render_code = staticmethod(render.render_code)
+    render_code_adjoint = staticmethod(render_adjoint.render_code_adjoint)
     brightness_residual = staticmethod(residual.brightness_residual)
     brightness_residual_adjoint = staticmethod(residual.brightness_residual_adjoint)
 
@@ -151,8 +159,8 @@ def _modules(kernels: KernelSet, device: str) -> list[wp.Module]:
     made = [
         splat.make_bin_events(f32),
         lag.make_deposit_events(f32),
-        lag.make_lag_rows(f32),
-        lag.make_lag_columns(f32),
+        lag.make_lag_rows(f32, lag.block_of(wp.get_device(device))),
+        lag.make_lag_columns(f32, lag.block_of(wp.get_device(device))),
         motion.make_clip_rows(f32),
         motion.make_correlate_rows(f32),
         motion.make_add_rows(f32),

@@ -24,10 +24,16 @@ from functools import cache
 import warp as wp
 
 from evqr_kernels.warp_backend.language import launch, module_of, neighbours, vector
-from evqr_kernels.warp_backend.splat import CHUNK, make_transport
+from evqr_kernels.warp_backend.splat import CHUNK
+from evqr_kernels.warp_backend.transport import make_transport
 
-BLOCK = 16
-"""Neighbouring cells that one thread does together."""
+CPU_BLOCK, GPU_BLOCK = 16, 4
+"""Neighbouring cells that one thread does together: vector units want many, registers few."""
+
+
+def block_of(device: wp.Device) -> int:
+    """Choose the block for a device."""
+    return CPU_BLOCK if device.is_cpu else GPU_BLOCK
 
 
 @cache
@@ -88,11 +94,11 @@ def deposit_events(x, y, t, weight, window_ptr, motion, frame, deposit_out) -> N
 
 
 @cache
-def make_lag_rows(dtype: type) -> wp.Kernel:
+def make_lag_rows(dtype: type, block: int) -> wp.Kernel:
     """Build the pass along rows; launch: one thread per (image, row, block of cells)."""
-    vec_block = vector(BLOCK, dtype)
+    vec_block = vector(block, dtype)
 
-    @wp.kernel(module=module_of("lag", dtype))
+    @wp.kernel(module=module_of(f"lag_{block}", dtype))
     def lag_rows(
         blocks: wp.array4d(dtype=vec_block),
         deposit_idx: wp.array(dtype=wp.int32),
@@ -106,7 +112,7 @@ def make_lag_rows(dtype: type) -> wp.Kernel:
         size = taps.shape[1]
         reach = size // 2
         # the last block ends with the row; what it shares with the one before is written twice, alike
-        x = wp.min(reach + BLOCK * k, rows_out.shape[3] - 1 - reach)
+        x = wp.min(reach + block * k, rows_out.shape[3] - 1 - reach)
         on = vec_block()
         off = vec_block()
         on_slope = vec_block()
@@ -127,11 +133,11 @@ def make_lag_rows(dtype: type) -> wp.Kernel:
 
 
 @cache
-def make_lag_columns(dtype: type) -> wp.Kernel:
+def make_lag_columns(dtype: type, block: int) -> wp.Kernel:
     """Build the pass along columns; launch as the rows."""
-    vec_block = vector(BLOCK, dtype)
+    vec_block = vector(block, dtype)
 
-    @wp.kernel(module=module_of("lag", dtype))
+    @wp.kernel(module=module_of(f"lag_{block}", dtype))
     def lag_columns(
         rows: wp.array4d(dtype=vec_block),
         taps: wp.array2d(dtype=dtype),
@@ -147,7 +153,7 @@ def make_lag_columns(dtype: type) -> wp.Kernel:
             for i in range(reach):
                 image_out[n, y, i] = dtype(0.0)
                 image_out[n, y, width - 1 - i] = dtype(0.0)
-        x = wp.min(reach + BLOCK * k, blocks_out.shape[2] - 1 - reach)
+        x = wp.min(reach + block * k, blocks_out.shape[2] - 1 - reach)
         total = vec_block()
         if y >= reach and y < height - reach:
             for j in range(size):
@@ -161,19 +167,20 @@ def lag_operator(deposit, deposit_idx, direction, lag, taps, rows_out, image_out
     """Launch both passes; overwrites."""
     dtype, device = deposit.dtype, deposit.device
     count, height, width = image_out.shape
-    blocks = -(-(width - 2 * (taps.shape[1] // 2)) // BLOCK)
-    rows = neighbours(rows_out, BLOCK)
+    block = block_of(device)
+    blocks = -(-(width - 2 * (taps.shape[1] // 2)) // block)
+    rows = neighbours(rows_out, block)
     launch(
-        make_lag_rows(dtype),
+        make_lag_rows(dtype, block),
         (count, height, blocks),
-        inputs=[neighbours(deposit, BLOCK), deposit_idx, direction, lag, taps],
+        inputs=[neighbours(deposit, block), deposit_idx, direction, lag, taps],
         outputs=[rows],
         device=device,
     )
     launch(
-        make_lag_columns(dtype),
+        make_lag_columns(dtype, block),
         (count, height, blocks),
         inputs=[rows, taps],
-        outputs=[image_out, neighbours(image_out, BLOCK)],
+        outputs=[image_out, neighbours(image_out, block)],
         device=device,
     )

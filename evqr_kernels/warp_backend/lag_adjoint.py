@@ -19,7 +19,7 @@ from functools import cache
 import warp as wp
 
 from evqr_kernels.warp_backend.language import launch, module_of
-from evqr_kernels.warp_backend.splat import make_transport
+from evqr_kernels.warp_backend.transport import make_transport
 
 
 @cache

@@ -72,6 +72,15 @@ def module_of(concept: str, dtype: type) -> wp.Module:
     return module
 
 
+def launch_bounds(dtype: type, narrow: bool = True) -> tuple[int, int]:
+    """Give the threads of a GPU's block, and how many blocks shall fit on a multiprocessor.
+
+    For kernels whose compiler would take more than 64 registers, or 128 in double precision, unasked; those
+    that are not ``narrow`` need more.
+    """
+    return 256, (4 if dtype is wp.float32 else 2) if narrow else 1
+
+
 @cache
 def vector(length: int, dtype: type) -> type:
     """Give the vector type; Warp makes a new one each time it is asked."""

@@ -1,40 +1,76 @@
-"""Image of a grid of modules under an affine map.
+"""Image of a grid of modules under an affine map or a homography.
 
-A pixel (x, y) looks at the grid at ``u = W_0 x + W_1 y + W_2``, ``v = W_3 x + W_4 y + W_5``, integers being
-the nodes (module centres), bilinearly between them; beyond the grid every node is ``outside``:
+A pixel (x, y) looks at the grid at
 
-    image(y, x) = sum_{j, i} q(j, i) hat(v - j) hat(u - i),        hat(s) = max(0, 1 - |s|)
+    u = (W_0 x + W_1 y + W_2) / d,    v = (W_3 x + W_4 y + W_5) / d,    d = W_6 x + W_7 y + 1
 
-With ``outside`` 0 this is equation 5 of the paper.  Adjoint, for adj = d loss / d image:
+(six parameters: d = 1), integers being the nodes (module centres), and sees
 
-    adj_q(j, i)    = sum_{y, x} adj hat(v - j) hat(u - i)
-    adj_W_0..2     = sum_{y, x} adj dimage_du (x, y, 1)
-    adj_W_3..5     = sum_{y, x} adj dimage_dv (x, y, 1)
+    image(y, x) = sum_{j, i} q(j, i) b(v - j) b(u - i)
 
-Each node gathers from the pixels that can see it, each row of pixels sums its part of adj_W: no atomics,
-deterministic.
+where beyond the grid, and where d is not positive, every node is ``outside``.  The profile b of a module is
+
+    sigma = 0:  b(s) = max(0, 1 - |s|)                                    bilinear, equation 5 of the paper
+    sigma > 0:  b(s) = P((s + 1/2) / sigma) - P((s - 1/2) / sigma)        a box blurred by sigma modules
+
+with P the normal distribution, stretched by 2e-9 so that it is 0 and 1 from six standard deviations on
+without a jump.  Either way the profiles of all nodes add up to 1, and a few neighbours along each axis, the
+taps, are all that a pixel sees.
+
+The adjoints are in ``render_adjoint.py``.
 """
 
+import math
 from functools import cache
 
 import warp as wp
 
-from evqr_kernels.warp_backend.language import launch, module_of
-from evqr_kernels.warp_backend.sums import add_partials
+from evqr_kernels.warp_backend.language import (
+    last_axis_as_vector,
+    launch,
+    launch_bounds,
+    module_of,
+    neighbours,
+    vector,
+)
+
+EDGE = 6.0
+"""Standard deviations from an edge of a module at which its blur ends."""
+
+
+def reach_of(sigma: float) -> float:
+    """Give how far from its node a module is seen [modules]."""
+    return 0.5 + EDGE * sigma if sigma else 1.0
+
+
+def taps_of(sigma: float) -> int:
+    """Give how many nodes along an axis a pixel sees, at most; 2 means bilinear."""
+    return math.ceil(2.0 * reach_of(sigma)) if sigma else 2
 
 
 @cache
-def make_node(dtype: type) -> wp.Function:
-    """Build the look-up of a node, which may lie beyond the grid."""
+def make_look(dtype: type, parameters: int) -> wp.Function:
+    """Build the function that maps a pixel to the grid: u, v, and 1 / d or 0 where d is not positive."""
+    vec_map = vector(parameters, dtype)
+    if parameters == 6:
+
+        @wp.func
+        def look(w: vec_map, x: dtype, y: dtype):
+            return w[0] * x + (w[1] * y + w[2]), w[3] * x + (w[4] * y + w[5]), dtype(1.0)
+
+        return look
 
     @wp.func
-    def node(grid: wp.array3d(dtype=dtype), outside: wp.array(dtype=dtype), b: int, j: int, i: int) -> dtype:
-        value = outside[b]
-        if j >= 0 and i >= 0 and j < grid.shape[1] and i < grid.shape[2]:
-            value = grid[b, j, i]
-        return value
+    def look_through(w: vec_map, x: dtype, y: dtype):
+        depth = w[6] * x + (w[7] * y + dtype(1.0))
+        inverse_depth = dtype(0.0)
+        if depth > dtype(0.0):
+            inverse_depth = dtype(1.0) / depth
+        u = (w[0] * x + (w[1] * y + w[2])) * inverse_depth
+        v = (w[3] * x + (w[4] * y + w[5])) * inverse_depth
+        return u, v, inverse_depth
 
-    return node
+    return look_through
 
 
 @cache
@@ -42,169 +78,160 @@ def make_near(dtype: type) -> wp.Function:
     """Build the test whether a position sees any node of the grid; also false for NaN."""
 
     @wp.func
-    def near(u: dtype, v: dtype, rows: int, columns: int) -> bool:
-        return u > dtype(-1.0) and v > dtype(-1.0) and u < dtype(columns) and v < dtype(rows)
+    def near(u: dtype, v: dtype, inverse_depth: dtype, reach: dtype, rows: int, columns: int) -> bool:
+        return (
+            inverse_depth > dtype(0.0)
+            and u > -reach
+            and v > -reach
+            and u < dtype(columns - 1) + reach
+            and v < dtype(rows - 1) + reach
+        )
 
     return near
 
 
 @cache
-def make_render_affine(dtype: type) -> wp.Kernel:
-    """Build the forward kernel; launch: one thread per row of pixels."""
-    node = make_node(dtype)
-    near = make_near(dtype)
+def make_edge(dtype: type) -> wp.Function:
+    """Build the blurred edge P, and its slope."""
+    inverse_sqrt2 = wp.constant(dtype(math.sqrt(0.5)))
+    half = wp.constant(dtype(0.5 / math.erf(EDGE * math.sqrt(0.5))))
+    density = wp.constant(dtype(1.0 / (math.erf(EDGE * math.sqrt(0.5)) * math.sqrt(2.0 * math.pi))))
+    end = wp.constant(dtype(EDGE))
 
-    @wp.kernel(module=module_of("render", dtype))
-    def render_affine(
+    @wp.func
+    def edge(z: dtype):
+        value = dtype(0.0)
+        slope = dtype(0.0)
+        if z >= end:
+            value = dtype(1.0)
+        elif z > -end:
+            value = dtype(0.5) + half * wp.erf(z * inverse_sqrt2)
+            slope = density * wp.exp(dtype(-0.5) * z * z)
+        return value, slope
+
+    return edge
+
+
+@cache
+def make_profile(dtype: type, taps: int) -> wp.Function:
+    """Build the function that gives the first node a position sees, b of all that it sees, and b'."""
+    vec_taps = vector(taps, dtype)
+    if taps == 2:
+
+        @wp.func
+        def bilinear(u: dtype, sigma: dtype):
+            first = int(wp.floor(u))
+            f = u - dtype(first)
+            return first, vec_taps(dtype(1.0) - f, f), vec_taps(dtype(-1.0), dtype(1.0))
+
+        return bilinear
+
+    edge = make_edge(dtype)
+    end = wp.constant(dtype(EDGE))
+
+    @wp.func
+    def smooth(u: dtype, sigma: dtype):
+        first = int(wp.floor(u - dtype(0.5) - end * sigma)) + 1
+        inverse_sigma = dtype(1.0) / sigma
+        value = vec_taps()
+        slope = vec_taps()
+        before, before_slope = edge((u - dtype(first) + dtype(0.5)) * inverse_sigma)
+        for k in range(wp.static(taps)):
+            after, after_slope = edge((u - dtype(first + k) - dtype(0.5)) * inverse_sigma)
+            value[k] = before - after
+            slope[k] = (before_slope - after_slope) * inverse_sigma
+            before = after
+            before_slope = after_slope
+        return first, value, slope
+
+    return smooth
+
+
+@cache
+def make_row_of_nodes(dtype: type, taps: int) -> wp.Function:
+    """Build the look-up of ``taps`` nodes of a row, which may lie beyond the grid.
+
+    ``rows``: `neighbours` of the grid.
+    """
+    vec_taps = vector(taps, dtype)
+
+    @wp.func
+    def row_of_nodes(
         grid: wp.array3d(dtype=dtype),
-        affine: wp.array2d(dtype=dtype),
+        rows: wp.array3d(dtype=vec_taps),
+        outside: dtype,
+        b: int,
+        j: int,
+        i: int,
+    ) -> vec_taps:
+        nodes = vec_taps()
+        if j >= 0 and j < grid.shape[1] and i >= 0 and i + taps <= grid.shape[2]:
+            nodes = rows[b, j, i]
+        else:
+            for k in range(wp.static(taps)):
+                nodes[k] = outside
+                if j >= 0 and j < grid.shape[1] and i + k >= 0 and i + k < grid.shape[2]:
+                    nodes[k] = grid[b, j, i + k]
+        return nodes
+
+    return row_of_nodes
+
+
+@cache
+def make_render_code(dtype: type, parameters: int, taps: int) -> wp.Kernel:
+    """Build the kernel for a map and a number of taps; launch: one thread per row of pixels."""
+    vec_map = vector(parameters, dtype)
+    vec_taps = vector(taps, dtype)
+    look = make_look(dtype, parameters)
+    near = make_near(dtype)
+    profile = make_profile(dtype, taps)
+    row_of_nodes = make_row_of_nodes(dtype, taps)
+
+    @wp.kernel(
+        module=module_of(f"render_{parameters}_{taps}", dtype),
+        launch_bounds=launch_bounds(dtype, narrow=taps == 2),
+    )
+    def render_code(
+        grid: wp.array3d(dtype=dtype),
+        grid_rows: wp.array3d(dtype=vec_taps),
+        to_grid: wp.array(dtype=vec_map),
         outside: wp.array(dtype=dtype),
+        sigma: dtype,
+        reach: dtype,
         image_out: wp.array3d(dtype=dtype),
     ):
         b, y = wp.tid()
-        u0 = affine[b, 1] * dtype(y) + affine[b, 2]
-        v0 = affine[b, 4] * dtype(y) + affine[b, 5]
+        w = to_grid[b]
+        beyond = outside[b]
         for x in range(image_out.shape[2]):
-            u = affine[b, 0] * dtype(x) + u0
-            v = affine[b, 3] * dtype(x) + v0
-            value = outside[b]
-            if near(u, v, grid.shape[1], grid.shape[2]):
-                i = int(wp.floor(u))
-                j = int(wp.floor(v))
-                fu = u - dtype(i)
-                top = node(grid, outside, b, j, i)
-                top += fu * (node(grid, outside, b, j, i + 1) - top)
-                bottom = node(grid, outside, b, j + 1, i)
-                bottom += fu * (node(grid, outside, b, j + 1, i + 1) - bottom)
-                value = top + (v - dtype(j)) * (bottom - top)
+            u, v, inverse_depth = look(w, dtype(x), dtype(y))
+            value = beyond
+            if near(u, v, inverse_depth, reach, grid.shape[1], grid.shape[2]):
+                i, share_u, _slope_u = profile(u, sigma)
+                j, share_v, _slope_v = profile(v, sigma)
+                value = dtype(0.0)
+                for k in range(wp.static(taps)):
+                    nodes = row_of_nodes(grid, grid_rows, beyond, b, j + k, i)
+                    value += share_v[k] * wp.dot(share_u, nodes)
             image_out[b, y, x] = value
 
-    return render_affine
+    return render_code
 
 
-def render_affine(grid, affine, outside, image_out) -> None:
+def render_code(grid, to_grid, outside, sigma: float, image_out) -> None:
     """Launch; overwrites."""
+    taps = taps_of(sigma)
     launch(
-        make_render_affine(grid.dtype),
+        make_render_code(grid.dtype, to_grid.shape[1], taps),
         image_out.shape[:2],
-        inputs=[grid, affine, outside],
+        inputs=[
+            grid,
+            neighbours(grid, taps),
+            last_axis_as_vector(to_grid),
+            outside,
+            sigma,
+            reach_of(sigma),
+        ],
         outputs=[image_out],
         device=grid.device,
-    )
-
-
-@cache
-def make_adjoint_of_affine(dtype: type) -> wp.Kernel:
-    """Build the adjoint in the affine map; launch: one thread per row of pixels."""
-    node = make_node(dtype)
-    near = make_near(dtype)
-
-    @wp.kernel(module=module_of("render_adjoint", dtype))
-    def adjoint_of_affine(
-        grid: wp.array3d(dtype=dtype),
-        affine: wp.array2d(dtype=dtype),
-        outside: wp.array(dtype=dtype),
-        adj_image: wp.array3d(dtype=dtype),
-        rows_out: wp.array3d(dtype=dtype),
-    ):
-        b, y = wp.tid()
-        u0 = affine[b, 1] * dtype(y) + affine[b, 2]
-        v0 = affine[b, 4] * dtype(y) + affine[b, 5]
-        sum_u = dtype(0.0)
-        sum_v = dtype(0.0)
-        sum_ux = dtype(0.0)
-        sum_vx = dtype(0.0)
-        for x in range(adj_image.shape[2]):
-            u = affine[b, 0] * dtype(x) + u0
-            v = affine[b, 3] * dtype(x) + v0
-            if near(u, v, grid.shape[1], grid.shape[2]):
-                i = int(wp.floor(u))
-                j = int(wp.floor(v))
-                q00 = node(grid, outside, b, j, i)
-                q01 = node(grid, outside, b, j, i + 1)
-                q10 = node(grid, outside, b, j + 1, i)
-                q11 = node(grid, outside, b, j + 1, i + 1)
-                twist = q11 - q10 - q01 + q00
-                adj_u = adj_image[b, y, x] * (q01 - q00 + (v - dtype(j)) * twist)
-                adj_v = adj_image[b, y, x] * (q10 - q00 + (u - dtype(i)) * twist)
-                sum_u += adj_u
-                sum_v += adj_v
-                sum_ux += adj_u * dtype(x)
-                sum_vx += adj_v * dtype(x)
-        rows_out[b, y, 0] = sum_ux
-        rows_out[b, y, 1] = sum_u * dtype(y)
-        rows_out[b, y, 2] = sum_u
-        rows_out[b, y, 3] = sum_vx
-        rows_out[b, y, 4] = sum_v * dtype(y)
-        rows_out[b, y, 5] = sum_v
-
-    return adjoint_of_affine
-
-
-@cache
-def make_adjoint_of_grid(dtype: type) -> wp.Kernel:
-    """Build the adjoint in the grid; launch: one thread per node, which visits the pixels that can see it."""
-
-    @wp.kernel(module=module_of("render_adjoint", dtype))
-    def adjoint_of_grid(
-        affine: wp.array2d(dtype=dtype),
-        adj_image: wp.array3d(dtype=dtype),
-        adj_grid_out: wp.array3d(dtype=dtype),
-    ):
-        b, j, i = wp.tid()
-        w0 = affine[b, 0]
-        w1 = affine[b, 1]
-        w3 = affine[b, 3]
-        w4 = affine[b, 4]
-        height = adj_image.shape[1]
-        width = adj_image.shape[2]
-        # the square of half side 1 around the node, in the image; all of the image where the map cannot be
-        # inverted
-        top = wp.int32(0)
-        bottom = height
-        left = wp.int32(0)
-        right = width
-        determinant = w0 * w4 - w1 * w3
-        u = dtype(i) - affine[b, 2]
-        v = dtype(j) - affine[b, 5]
-        if determinant != dtype(0.0):
-            centre_x = (w4 * u - w1 * v) / determinant
-            centre_y = (w0 * v - w3 * u) / determinant
-            reach_x = (wp.abs(w4) + wp.abs(w1)) / wp.abs(determinant) + dtype(1.0)
-            reach_y = (wp.abs(w0) + wp.abs(w3)) / wp.abs(determinant) + dtype(1.0)
-            left = int(wp.clamp(centre_x - reach_x, dtype(0.0), dtype(width)))
-            right = int(wp.clamp(wp.ceil(centre_x + reach_x), dtype(-1.0), dtype(width - 1))) + 1
-            top = int(wp.clamp(centre_y - reach_y, dtype(0.0), dtype(height)))
-            bottom = int(wp.clamp(wp.ceil(centre_y + reach_y), dtype(-1.0), dtype(height - 1))) + 1
-        total = dtype(0.0)
-        for y in range(top, bottom):
-            along = dtype(0.0)
-            for x in range(left, right):
-                share_u = dtype(1.0) - wp.abs(w0 * dtype(x) + w1 * dtype(y) - u)
-                share_v = dtype(1.0) - wp.abs(w3 * dtype(x) + w4 * dtype(y) - v)
-                if share_u > dtype(0.0) and share_v > dtype(0.0):
-                    along += adj_image[b, y, x] * share_u * share_v
-            total += along
-        adj_grid_out[b, j, i] = total
-
-    return adjoint_of_grid
-
-
-def render_affine_adjoint(grid, affine, outside, adj_image, rows_out, adj_grid_out, adj_affine_out) -> None:
-    """Launch; overwrites."""
-    dtype, device = grid.dtype, grid.device
-    launch(
-        make_adjoint_of_affine(dtype),
-        adj_image.shape[:2],
-        inputs=[grid, affine, outside, adj_image],
-        outputs=[rows_out],
-        device=device,
-    )
-    add_partials(rows_out, adj_affine_out)
-    launch(
-        make_adjoint_of_grid(dtype),
-        grid.shape,
-        inputs=[affine, adj_image],
-        outputs=[adj_grid_out],
-        device=device,
     )

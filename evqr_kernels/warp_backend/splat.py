@@ -2,8 +2,8 @@
 
 ``bin_events`` counts: each event adds its weight to the pixel it falls in, at a reduced resolution.
 
-``splat_events`` transports and splats.  With c_i = (x_i, y_i) - t_i motion, brought to image pixels by the
-window's origin and scale, and d the direction of the motion:
+``splat_events`` transports and splats.  With c_i = (x_i, y_i) - t_i v_i brought to image pixels (see
+``transport``) and d the direction of v_i:
 
     image(x) += sum_i w_i e_i(x - c_i),    e_i(r) = (1 - lag_i d . grad) N(r),    N(r) = g(r_x) g(r_y)
 
@@ -17,7 +17,7 @@ Adjoint, for adj = d loss / d image; lag and direction d are parameters, no deri
 to them:
 
     adj_w_i    = sum_x adj(x) e_i(x - c_i)
-    adj_motion = sum_i (t_i / scale) w_i sum_x adj(x) grad e_i(x - c_i)
+    adj_v_i    = (t_i / scale) w_i sum_x adj(x) grad e_i(x - c_i)
 """
 
 from functools import cache
@@ -26,6 +26,7 @@ import warp as wp
 
 from evqr_kernels.config import SplatConfig
 from evqr_kernels.warp_backend.language import launch, module_of, neighbours, vector
+from evqr_kernels.warp_backend.transport import make_middle, make_transport, make_velocity
 
 CHUNK = 64
 """Events that one thread takes one after another: what belongs to the window is looked up once."""
@@ -71,10 +72,13 @@ def bin_events(x, y, weight, window_ptr, reduction: float, image_out) -> None:
 
 @cache
 def make_splat_taps(dtype: type, cfg: SplatConfig) -> wp.Function:
-    """Build the function that gives g and g' at the taps around an event ``offset`` px off the middle one."""
+    """Build the function that gives the Gaussian, g and g' at the taps around an event.
+
+    The event is ``offset`` px off the middle one.
+    """
     reach = cfg.reach
     vec_taps = vector(2 * reach + 1, dtype)
-    gauss = wp.constant(vec_taps(*(cfg.norm * cfg.gauss(k) for k in range(-reach, reach + 1))))
+    gauss_at_taps = wp.constant(vec_taps(*(cfg.norm * cfg.gauss(k) for k in range(-reach, reach + 1))))
     inverse_variance = wp.constant(dtype(1.0 / cfg.epsilon_px**2))
     inverse_radius_sq = wp.constant(dtype(1.0 / cfg.radius_px**2))
 
@@ -82,6 +86,7 @@ def make_splat_taps(dtype: type, cfg: SplatConfig) -> wp.Function:
     def splat_taps(offset: dtype):
         # exp(-(k - f)^2 / 2 eps^2) = exp(-f^2 / 2 eps^2) exp(f / eps^2)^k exp(-k^2 / 2 eps^2): two exps, not
         # one a tap
+        gauss = vec_taps()
         value = vec_taps()
         slope = vec_taps()
         up = wp.exp(offset * inverse_variance)
@@ -89,41 +94,32 @@ def make_splat_taps(dtype: type, cfg: SplatConfig) -> wp.Function:
         right = wp.exp(dtype(-0.5) * offset * offset * inverse_variance)
         left = right
         for k in range(wp.static(reach + 1)):
-            value[reach + k] = right * gauss[reach + k]
-            value[reach - k] = left * gauss[reach - k]
+            gauss[reach + k] = right * gauss_at_taps[reach + k]
+            gauss[reach - k] = left * gauss_at_taps[reach - k]
             right *= up
             left *= down
         for k in range(wp.static(2 * reach + 1)):
             r = dtype(k - reach) - offset
             q = wp.max(dtype(1.0) - r * r * inverse_radius_sq, dtype(0.0))
-            slope[k] = -r * value[k] * q * (q * inverse_variance + dtype(4.0) * inverse_radius_sq)
-            value[k] = value[k] * q * q
-        return value, slope
+            value[k] = gauss[k] * q * q
+            slope[k] = -r * gauss[k] * q * (q * inverse_variance + dtype(4.0) * inverse_radius_sq)
+        return gauss, value, slope
 
     return splat_taps
 
 
 @cache
-def make_transport(dtype: type) -> wp.Function:
-    """Build the function that brings an event to image pixels at the reference time."""
-
-    @wp.func
-    def transport(position: dtype, t: dtype, motion: dtype, origin: dtype, inverse_scale: dtype) -> dtype:
-        return (position - t * motion - origin + dtype(0.5)) * inverse_scale - dtype(0.5)
-
-    return transport
-
-
-@cache
-def make_splat_events(dtype: type, cfg: SplatConfig) -> wp.Kernel:
-    """Build the splat kernel for one precision and shape of splat; launch: one thread per event."""
+def make_splat_events(dtype: type, cfg: SplatConfig, parameters: int) -> wp.Kernel:
+    """Build the kernel for a precision, a shape of splat and a motion; launch: one thread per event."""
     reach = cfg.reach
     taps = 2 * reach + 1
     vec_taps = vector(taps, dtype)
     splat_taps = make_splat_taps(dtype, cfg)
     transport = make_transport(dtype)
+    middle = make_middle(dtype)
+    velocity = make_velocity(dtype, parameters)
 
-    @wp.kernel(module=module_of(f"splat_{taps}_{cfg.epsilon_px:g}_{cfg.radius_px:g}", dtype))
+    @wp.kernel(module=module_of(f"splat_{parameters}_{taps}_{cfg.epsilon_px:g}_{cfg.radius_px:g}", dtype))
     def splat_events(
         x: wp.array(dtype=dtype),
         y: wp.array(dtype=dtype),
@@ -138,9 +134,11 @@ def make_splat_events(dtype: type, cfg: SplatConfig) -> wp.Kernel:
     ):
         e = wp.tid()
         window = wp.lower_bound(window_ptr, e + 1) - 1
-        inverse_scale = dtype(1.0) / frame[window, 2]
-        motion_x = motion[window, 0]
-        motion_y = motion[window, 1]
+        scale = frame[window, 2]
+        inverse_scale = dtype(1.0) / scale
+        dx = x[e] - middle(frame[window, 0], scale, image_out.shape[2])
+        dy = y[e] - middle(frame[window, 1], scale, image_out.shape[1])
+        motion_x, motion_y = velocity(motion, window, dx, dy)
         cx = transport(x[e], t[e], motion_x, frame[window, 0], inverse_scale)
         cy = transport(y[e], t[e], motion_y, frame[window, 1], inverse_scale)
         height = image_out.shape[1]
@@ -159,8 +157,8 @@ def make_splat_events(dtype: type, cfg: SplatConfig) -> wp.Kernel:
         speed = wp.sqrt(motion_x * motion_x + motion_y * motion_y)
         if speed > dtype(0.0):
             lag_px /= speed
-        gx, sx = splat_taps(cx - dtype(column))
-        gy, sy = splat_taps(cy - dtype(row))
+        _gauss_x, gx, sx = splat_taps(cx - dtype(column))
+        _gauss_y, gy, sy = splat_taps(cy - dtype(row))
         along = w * (gx - (lag_px * motion_x) * sx)
         across = (-w * lag_px * motion_y) * gx
         if row >= reach and column >= reach and row < height - reach and column < width - reach:
@@ -182,7 +180,7 @@ def make_splat_events(dtype: type, cfg: SplatConfig) -> wp.Kernel:
 def splat_events(x, y, t, weight, window_ptr, motion, lag, frame, image_out, cfg: SplatConfig) -> None:
     """Launch; accumulates.  Float atomics: on a GPU sums repeat to a tolerance, not bit for bit."""
     launch(
-        make_splat_events(x.dtype, cfg),
+        make_splat_events(x.dtype, cfg, motion.shape[1]),
         x.shape[0],
         inputs=[x, y, t, weight, window_ptr, motion, lag, frame],
         outputs=[image_out, neighbours(image_out, 2 * cfg.reach + 1)],

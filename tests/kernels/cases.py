@@ -72,6 +72,24 @@ def splat_events_adjoint(rng, dtype):
     return Call("splat_events_adjoint", inputs, outputs, (SPLAT,), scratch=1)
 
 
+def affine_motion(rng, dtype):
+    """Motions that turn, grow and shear by some pixels over the window, beside those of `splat_inputs`."""
+    return rng.uniform(-100, 100, (B, 4)).astype(dtype)
+
+
+def splat_events_affine(rng, dtype):
+    call = splat_events(rng, dtype)
+    call.inputs[5] = np.hstack([call.inputs[5], affine_motion(rng, dtype)])
+    return call
+
+
+def splat_events_affine_adjoint(rng, dtype):
+    call = splat_events_adjoint(rng, dtype)
+    call.inputs[5] = np.hstack([call.inputs[5], affine_motion(rng, dtype)])
+    call.outputs = [filled((B, 5, 6), dtype), call.outputs[1], filled((B, 6), dtype)]
+    return call
+
+
 def deposit_events(rng, dtype):
     *events, motion, _, frame = splat_inputs(rng, dtype)
     return Call("deposit_events", [*events, motion, frame], [filled((B, 2, Y, X), dtype, 0.5)])
@@ -226,6 +244,35 @@ def code_rhs(rng, dtype, modules=11, samples=3):
     return Call("code_rhs", inputs, outputs, scratch=2)
 
 
+def pose_normal_equations(rng, dtype, parameters=8, count=4, columns=20):
+    table = rng.normal(size=(60, columns)).astype(dtype)
+    moments = rng.normal(size=(count, columns + 1)).astype(dtype)
+    terms = rng.integers(0, columns, (parameters + 2, 4)).astype(np.int32)
+    factors = rng.integers(0, 4, (parameters + 2, 4)).astype(np.int32)
+    size = parameters + 2
+    outputs = [filled((count, 2), dtype), filled((count, size, size), dtype), filled((count, size), dtype)]
+    return Call("pose_normal_equations", [moments, table.T @ table, terms, factors, 1e-3], outputs)
+
+
+def code_normal_equations(rng, dtype, modules=11, reach=2):
+    call = code_rhs(rng, dtype, modules)
+    samples, rows, rhs = call.outputs
+    side = 2 * reach + 1
+    outputs = [samples, rows, filled((B, side, side), dtype), rhs]
+    return Call("code_normal_equations", call.inputs, outputs, scratch=2)
+
+
+def code_product(rng, dtype):
+    rhs, stencil, damping, free, start = system(rng, dtype, 9)
+    return Call("code_product", [start, stencil, damping, free], [filled(rhs.shape, dtype)])
+
+
+def solve_code_banded(rng, dtype, modules=9):
+    rhs, stencil, damping, free, start = system(rng, dtype, modules)
+    band = filled((B, modules**2, 2 * (modules + 1) + 1), dtype)
+    return Call("solve_code_banded", [rhs, stencil, damping, free], [band, start], scratch=1)
+
+
 def system(rng, dtype, modules):
     """Arguments of `solve_code`: positive definite, with free modules up to the border."""
     taps = rng.normal(size=(B, 3, 3))
@@ -239,27 +286,46 @@ def system(rng, dtype, modules):
     return [rhs.astype(dtype), stencil.astype(dtype), np.full(B, 0.3, dtype), free, start.astype(dtype)]
 
 
-def render_affine(rng, dtype):
+def render_code(rng, dtype, parameters=6, sigma=0.0):
     grid = rng.normal(size=(B, 7, 6)).astype(dtype)
-    return Call(
-        "render_affine", [grid, affines(dtype), np.array([0.0, 1.0, -0.5], dtype)], [filled((B, Y, X), dtype)]
-    )
+    inputs = [grid, maps(dtype, parameters), np.array([0.0, 1.0, -0.5], dtype), sigma]
+    return Call("render_code", inputs, [filled((B, Y, X), dtype)])
 
 
-def affines(dtype):
-    """Image to grid: one turned, one that shows all of the grid, and one close to singular."""
-    maps = [
-        [0.21, 0.09, -2.013, -0.08, 0.24, 0.507],
-        [0.33, 0.0, -1.517, 0.0, 0.41, -1.019],
-        [0.2, 0.1, 0.303, 0.4, 0.2, -3.017],
+def render_code_smooth(rng, dtype):
+    return render_code(rng, dtype, sigma=0.23)
+
+
+def render_code_tilted(rng, dtype):
+    return render_code(rng, dtype, parameters=8)
+
+
+def render_code_tilted_smooth(rng, dtype):
+    return render_code(rng, dtype, parameters=8, sigma=0.23)
+
+
+def maps(dtype, parameters=6):
+    """Image to grid: one turned, one that shows all of the grid, and one close to singular.
+
+    With 8 parameters the first is in front of a part of the image only.
+    """
+    rows = [
+        [0.21, 0.09, -2.013, -0.08, 0.24, 0.507, -0.0431234, 0.0031567],
+        [0.33, 0.0, -1.517, 0.0, 0.41, -1.019, 0.0112789, 0.0073141],
+        [0.2, 0.1, 0.303, 0.4, 0.2, -3.017, 0.0021379, -0.0011757],
     ]
-    return np.array(maps, dtype)
+    return np.array(rows, dtype)[:, :parameters].copy()
 
 
-def render_affine_adjoint(rng, dtype):
-    inputs = [*render_affine(rng, dtype).inputs, rng.normal(size=(B, Y, X)).astype(dtype)]
-    outputs = [filled((B, Y, 6), dtype), filled((B, 7, 6), dtype), filled((B, 6), dtype)]
-    return Call("render_affine_adjoint", inputs, outputs, scratch=1)
+def render_code_adjoint(rng, dtype, parameters=6, sigma=0.0):
+    grid, to_grid, outside, _ = render_code(rng, dtype, parameters).inputs
+    inputs = [grid, to_grid, outside, sigma, rng.normal(size=(B, Y, X)).astype(dtype)]
+    outputs = [filled((B, Y, parameters), dtype), filled((B, 7, 6), dtype), filled((B, parameters), dtype)]
+    return Call("render_code_adjoint", inputs, outputs, scratch=1)
+
+
+def render_code_adjoint_tilted_smooth(rng, dtype):
+    return render_code_adjoint(rng, dtype, parameters=8, sigma=0.23)
 
 
 def brightness_residual(rng, dtype):
@@ -279,7 +345,9 @@ CALLS = [
     bin_events,
     splat_events,
     splat_events_wide,
+    splat_events_affine,
     splat_events_adjoint,
+    splat_events_affine_adjoint,
     deposit_events,
     deposit_events_adjoint,
     lag_operator,
@@ -295,10 +363,17 @@ CALLS = [
     match_corners,
     sample_moments,
     sample_moments_adjoint,
+    pose_normal_equations,
     code_rhs,
-    render_affine,
-    render_affine_adjoint,
+    code_normal_equations,
+    code_product,
+    render_code,
+    render_code_smooth,
+    render_code_tilted,
+    render_code_tilted_smooth,
+    render_code_adjoint,
+    render_code_adjoint_tilted_smooth,
     brightness_residual,
     brightness_residual_adjoint,
 ]
-"""All but `solve_code` and `align_poses`, which update an input in place and have files of their own."""
+"""All operations but those that update an input in place, which have files of their own."""

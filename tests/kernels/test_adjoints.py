@@ -1,59 +1,130 @@
 """Hand-written adjoints of rendering, residual and moments: by dot product and by central differences."""
 
+import math
+
 import numpy as np
 import pytest
 
 from . import cases
-from .helpers import assert_adjoint, assert_differences, filled
+from .helpers import assert_adjoint, assert_close, assert_differences, filled
+
+every_render = pytest.mark.parametrize("parameters", [6, 8])
+every_profile = pytest.mark.parametrize("sigma", [0.0, 0.1, 0.25, 0.9])
 
 
-def test_render_in_the_grid(placed, dtype, rng):
-    call, back = cases.render_affine(rng, dtype), cases.render_affine_adjoint(rng, dtype)
+@every_render
+@every_profile
+def test_render_in_the_grid(parameters, sigma, placed, dtype, rng):
+    call = cases.render_code(rng, dtype, parameters, sigma)
+    back = cases.render_code_adjoint(rng, dtype, parameters, sigma)
     call.inputs[2][:] = 0
-    back.inputs[:3] = call.inputs
+    back.inputs[:3] = call.inputs[:3]
     adj_grid, _ = back.run(placed)
-    assert_adjoint(call.run(placed)[0], back.inputs[3], call.inputs[0], adj_grid)
+    assert_adjoint(call.run(placed)[0], back.inputs[4], call.inputs[0], adj_grid)
 
 
-def test_render_in_the_affine_map(placed, rng):
-    call, back = cases.render_affine(rng, np.float64), cases.render_affine_adjoint(rng, np.float64)
-    back.inputs[:3] = call.inputs
-    _, adj_affine = back.run(placed)
-    grid, affine, outside = call.inputs
+@every_render
+@every_profile
+def test_render_in_the_map(parameters, sigma, placed, rng):
+    call = cases.render_code(rng, np.float64, parameters, sigma)
+    back = cases.render_code_adjoint(rng, np.float64, parameters, sigma)
+    to_grid = call.inputs[1]
+    # far from where the map is behind: there the image is as steep as one likes
+    to_grid[0, 6:] *= 0.2
+    back.inputs[:3] = call.inputs[:3]
+    _, adj_map = back.run(placed)
 
-    def loss(affine):
-        call.inputs = [grid, affine, outside]
-        return np.vdot(call.run(placed)[0], back.inputs[3])
+    def loss(to_grid):
+        call.inputs[1] = to_grid
+        return np.vdot(call.run(placed)[0], back.inputs[4])
 
     # a parameter at a time; the offsets in the cases keep samples a thousandth off the lines of the grid
-    directions = np.eye(6)[:, None, :] * np.ones((1, cases.B, 1)) * [1 / 30, 1 / 30, 1, 1 / 30, 1 / 30, 1]
-    assert_differences(loss, affine, adj_affine, directions)
+    units = np.array([1 / 30, 1 / 30, 1, 1 / 30, 1 / 30, 1, 1 / 300, 1 / 300])[:parameters]
+    directions = np.eye(parameters)[:, None, :] * np.ones((1, cases.B, 1)) * units
+    assert_differences(loss, to_grid, adj_map, directions)
 
 
-def test_render_of_a_singular_map(placed, spec, dtype, rng):
+@every_render
+@every_profile
+def test_render_adjoint_variants_agree(parameters, sigma, placed, spec, dtype, rng):
+    """Nodes gather on GPUs, which a CPU does not take by itself."""
+    if placed.backend.name != "warp":
+        pytest.skip("only the Warp backend has two variants")
+    from evqr_kernels.warp_backend.render_adjoint import launch_nodes
+
+    back = cases.render_code_adjoint(rng, dtype, parameters, sigma)
+    _, to_grid, _, _, adj_image = back.inputs
+    put = placed.backend.from_host
+    adj_grid = put(back.outputs[1], placed.device)
+    launch_nodes(put(to_grid, placed.device), sigma, put(adj_image, placed.device), adj_grid)
+    placed.backend.synchronize(placed.device)
+    assert_close(np.array(placed.backend.to_host(adj_grid)), back.run(spec)[0])
+
+
+@every_profile
+def test_render_of_a_singular_map(sigma, placed, spec, dtype, rng):
     """All pixels look at one line, or one place, of the grid: every node visits every pixel."""
-    call, back = cases.render_affine(rng, dtype), cases.render_affine_adjoint(rng, dtype)
+    call, back = cases.render_code(rng, dtype, 6, sigma), cases.render_code_adjoint(rng, dtype, 6, sigma)
     call.inputs[1][:] = [[0.1, 0.2, 0.5, 0.1, 0.2, 0.5], [0, 0, 2.25, 0, 0, 3.5], [0, 0, 2, 0, 0, 3]]
     call.inputs[2][:] = 0
-    back.inputs[:3] = call.inputs
+    back.inputs[:3] = call.inputs[:3]
     adj_grid, _ = back.run(placed)
-    np.testing.assert_allclose(adj_grid, back.run(spec)[0], rtol=0, atol=1e-4)
-    assert_adjoint(call.run(placed)[0], back.inputs[3], call.inputs[0], adj_grid)
+    np.testing.assert_allclose(adj_grid, back.run(spec)[0], rtol=0, atol=2e-4)
+    assert_adjoint(call.run(placed)[0], back.inputs[4], call.inputs[0], adj_grid)
 
 
 def test_render_shows_the_nodes_and_what_is_outside(placed, dtype):
     grid = np.arange(6, dtype=dtype).reshape(1, 2, 3)
-    affine = np.array([[1, 0, -1, 0, 1, -1]], dtype)
-    (image,) = placed("render_affine", [grid, affine, np.array([9], dtype)], [filled((1, 4, 5), dtype)])
-    np.testing.assert_array_equal(image[0], np.pad(grid[0], 1, constant_values=9))
+    to_grid = np.array([[1, 0, -1, 0, 1, -1]], dtype)
+    for sigma in (0.0, 0.05):
+        (image,) = placed(
+            "render_code", [grid, to_grid, np.array([9], dtype), sigma], [filled((1, 4, 5), dtype)]
+        )
+        np.testing.assert_array_equal(image[0], np.pad(grid[0], 1, constant_values=9))
 
 
-@pytest.mark.parametrize("bad", [np.nan, np.inf, -np.inf])
-def test_render_of_no_map(bad, placed, dtype, rng):
-    call = cases.render_affine(rng, dtype)
-    call.inputs[1][:] = bad
+def test_render_blurs_boxes(placed, dtype):
+    """A module of side 8 px: the normal distribution at its edges, half at the edge itself."""
+    sigma = 0.25
+    to_grid = np.array([[0.125, 0, -2, 0, 0.125, -2]], dtype)
+    inputs = [np.ones((1, 1, 1), dtype), to_grid, np.zeros(1, dtype), sigma]
+    (image,) = placed("render_code", inputs, [filled((1, 33, 33), dtype)])
+    s = np.arange(33) / 8 - 2
+
+    def edge(s):
+        return np.array([0.5 + 0.5 * math.erf(value / sigma / math.sqrt(2)) for value in s])
+
+    profile = edge(s + 0.5) - edge(s - 0.5)
+    np.testing.assert_allclose(image[0], np.outer(profile, profile), rtol=0, atol=3e-7)
+    assert abs(image[0, 16, 20] / image[0, 16, 16] - 0.5 / (2 * edge([0.5])[0] - 1)) < 1e-4
+
+
+@every_profile
+def test_a_homography_is_the_affine_map_it_extends(sigma, placed, dtype, rng):
+    call = cases.render_code(rng, dtype, 6, sigma)
+    expected = call.run(placed)
+    call.inputs[1] = np.hstack([call.inputs[1], np.zeros((cases.B, 2), dtype)])
+    assert_close(*call.run(placed), *expected)
+
+
+@every_profile
+def test_render_behind_the_map_is_outside(sigma, placed, dtype, rng):
+    call = cases.render_code(rng, dtype, 8, sigma)
+    call.inputs[1][:, 6:] = [-1, 0]
     (image,) = call.run(placed)
-    np.testing.assert_array_equal(image, np.broadcast_to(call.inputs[2][:, None, None], image.shape))
+    np.testing.assert_array_equal(
+        image[:, :, 1:], np.broadcast_to(call.inputs[2][:, None, None], (3, 23, 30))
+    )
+
+
+@every_render
+@pytest.mark.parametrize("bad", [np.nan, np.inf, -np.inf])
+def test_render_of_no_map(bad, parameters, placed, dtype, rng):
+    for sigma in (0.0, 0.25):
+        call = cases.render_code(rng, dtype, parameters, sigma)
+        call.inputs[1][:] = bad
+        (image,) = call.run(placed)
+        np.testing.assert_array_equal(image, np.broadcast_to(call.inputs[2][:, None, None], image.shape))
 
 
 def test_residual_in_the_luminance(placed, dtype, rng):

@@ -1,6 +1,4 @@
-"""Laws of the other operations, batches, and threads."""
-
-from concurrent.futures import ThreadPoolExecutor
+"""Laws of the other operations."""
 
 import numpy as np
 import pytest
@@ -11,72 +9,6 @@ import evqr_kernels
 
 from . import cases
 from .helpers import assert_close, filled
-
-WINDOWED = [
-    "splat_events",
-    "deposit_events",
-    "motion_correlation",
-    "reduce_image",
-    "surface_peak",
-    "clip_outliers",
-    "correlate_templates",
-    "local_maxima",
-    "merge_maxima",
-    "match_corners",
-    "code_rhs",
-    "render_affine",
-    "render_affine_adjoint",
-    "brightness_residual",
-    "brightness_residual_adjoint",
-]
-
-
-def one_window(make, rng_seed, dtype, b):
-    """The call with window b alone."""
-    call = make(np.random.default_rng(rng_seed), dtype)
-    shared = {
-        "correlate_templates": (2, 3, 4),
-        "surface_peak": (1,),
-        "match_corners": (1,),
-        "code_rhs": (2, 3, 4),
-    }.get(call.op, ())
-    inputs = []
-    if call.op in ("splat_events", "deposit_events"):
-        ptr = call.inputs[4]
-        part = slice(ptr[b], ptr[b + 1])
-        inputs = [column[part] for column in call.inputs[:4]]
-        inputs.append(np.array([0, ptr[b + 1] - ptr[b]], np.int32))
-    for k in range(len(inputs), len(call.inputs)):
-        argument = call.inputs[k]
-        batched = isinstance(argument, np.ndarray) and k not in shared
-        inputs.append(argument[b : b + 1] if batched else argument)
-    call.inputs = inputs
-    call.outputs = [output[b : b + 1] for output in call.outputs]
-    return call
-
-
-@pytest.mark.parametrize("op", WINDOWED)
-def test_a_batch_equals_its_windows_one_by_one(op, placed, dtype):
-    """Bit for bit where one thread at a time adds up."""
-    make = getattr(cases, op)
-    together = make(np.random.default_rng(5), dtype).run(placed)
-    for b in range(cases.B):
-        alone = one_window(make, 5, dtype, b).run(placed)
-        for whole, part in zip(together, alone, strict=True):
-            if placed.device == "cpu":
-                np.testing.assert_array_equal(whole[b : b + 1], part)
-            else:
-                assert_close(whole[b : b + 1], part)
-
-
-def test_windows_on_threads_equal_windows_in_turn(placed, dtype):
-    """Disjoint windows may run on as many threads as one likes."""
-    calls = [one_window(cases.splat_events, 5, dtype, b % cases.B) for b in range(24)]
-    in_turn = [call.run(placed)[0] for call in calls]
-    with ThreadPoolExecutor(3) as pool:
-        at_once = list(pool.map(lambda call: call.run(placed)[0], calls))
-    for one, other in zip(in_turn, at_once, strict=True):
-        np.testing.assert_array_equal(one, other)
 
 
 @given(dx=st.integers(-4, 4), dy=st.integers(-4, 4))

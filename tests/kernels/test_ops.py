@@ -59,8 +59,18 @@ GOOD = {
     ),
     "code_rhs": ([f32(B, Y, X), f32(B, 9), f32(14), f32(10), f32(10), f32(B, 2)], {"samples_a_module": 2}),
     "solve_code": ([f32(B, 7, 7), f32(B, 5, 5), f32(B) + 1, np.ones((7, 7), np.int32), f32(B, 7, 7)], {}),
-    "render_affine": ([f32(B, 6, 5), f32(B, 6), f32(B)], {"shape": (Y, X)}),
-    "render_affine_adjoint": ([f32(B, 6, 5), f32(B, 6), f32(B), f32(B, Y, X)], {}),
+    "pose_normal_equations": ([f32(3, 5) + 1, np.eye(4, dtype=np.float32), *TERMS], {}),
+    "code_normal_equations": (
+        [f32(B, Y, X), f32(B, 9), f32(14), f32(10) + 1, f32(10) + 1, f32(B, 2) + 1],
+        {"samples_a_module": 2},
+    ),
+    "code_product": ([f32(B, 7, 7) + 1, f32(B, 5, 5), f32(B) + 1, np.ones((7, 7), np.int32)], {}),
+    "solve_code_banded": (
+        [f32(B, 7, 7) + 1, f32(B, 5, 5), f32(B) + 1, np.ones((7, 7), np.int32), f32(B, 7, 7)],
+        {},
+    ),
+    "render_code": ([f32(B, 6, 5), f32(B, 6), f32(B)], {"shape": (Y, X)}),
+    "render_code_adjoint": ([f32(B, 6, 5), f32(B, 6), f32(B), f32(B, Y, X)], {}),
     "brightness_residual": ([f32(B, Y, X), f32(B, Y, X), f32(B, 2)], {}),
     "brightness_residual_adjoint": ([f32(B, Y, X), f32(B, 2), f32(B, Y, X)], {}),
 }
@@ -108,6 +118,7 @@ def test_results_are_those_of_the_backend(op, rng, spec):
         "bin_events": {"reduction": 2.0},
         "reduce_image": {"ratio": 1.25},
         "code_rhs": {"samples_a_module": 3},
+        "code_normal_equations": {"samples_a_module": 3},
         "motion_correlation": {"radius": 5, "clip": 2.0},
         "clip_outliers": {"factor": 1.7},
         "local_maxima": {"least": 0.3, "cell": 2.5, "size": 3.125, "turn": 0.2, "most": 3},
@@ -125,8 +136,10 @@ def test_results_are_those_of_the_backend(op, rng, spec):
         options = {"deposits": cases.B}
     if op.startswith("sample"):
         options = {"active": arrays.pop(3)}
-    if op in ("bin_events", "splat_events", "render_affine"):
+    if op in ("bin_events", "splat_events", "render_code"):
         options["shape"] = made.outputs[0].shape[1:]
+    if op == "solve_code_banded":
+        arrays.append(np.zeros_like(arrays[0]))
     got = getattr(evqr_kernels, op)(*arrays, **options, backend="numpy")
     for one, other in zip(as_tuple(got), expected, strict=True):
         np.testing.assert_allclose(one, other, rtol=0, atol=1e-12 * np.abs(other).max())
@@ -141,8 +154,7 @@ def test_out_is_accumulated_or_overwritten_in_place(name):
     np.testing.assert_array_equal(out[:, 0, 0], [6, 8])
     out[:] = np.nan
     assert (
-        call("render_affine", arg2=f32(B) + 3, arg0=f32(B, 6, 5) + 3, out=out, shape=None, backend=name)
-        is out
+        call("render_code", arg2=f32(B) + 3, arg0=f32(B, 6, 5) + 3, out=out, shape=None, backend=name) is out
     )
     np.testing.assert_array_equal(out, 3)
 
@@ -172,20 +184,22 @@ def test_templates_on_small_images(shape, name):
 
 BAD = [
     (
-        "render_affine",
+        "render_code",
         {"arg1": f32(4, 5)},
         ValueError,
-        "affine must have shape (B, 6) with B = 2, got (4, 5)",
+        "to_grid must have shape (B, 6) or (B, 8), got (4, 5)",
     ),
     (
-        "render_affine",
-        {"arg1": f32(B, 5)},
+        "render_code",
+        {"arg1": f32(3, 8)},
         ValueError,
-        "affine must have shape (B, 6) with B = 2, got (2, 5)",
+        "to_grid must have shape (B, 8) with B = 2, got (3, 8)",
     ),
-    ("render_affine", {"arg0": f32(B, 6)}, ValueError, "grid must have shape (B, G, H), got (2, 6)"),
-    ("render_affine", {"shape": None}, TypeError, "shape of the image must be given when there is no out"),
-    ("render_affine", {"out": f32(3, Y, X)}, ValueError, "out must have shape (B, Y, X) with B = 2"),
+    ("render_code", {"arg0": f32(B, 6)}, ValueError, "grid must have shape (B, G, H), got (2, 6)"),
+    ("render_code", {"sigma": 0.01}, ValueError, "sigma must be 0, or 0.02 to 1, got 0.01"),
+    ("render_code_adjoint", {"sigma": float("nan")}, ValueError, "sigma must be 0, or 0.02 to 1, got nan"),
+    ("render_code", {"shape": None}, TypeError, "shape of the image must be given when there is no out"),
+    ("render_code", {"out": f32(3, Y, X)}, ValueError, "out must have shape (B, Y, X) with B = 2"),
     ("bin_events", {"arg1": f32(E + 1)}, ValueError, "y must have shape (E,) with E = 10, got (11,)"),
     ("bin_events", {"arg0": [1.0]}, TypeError, "x must be a NumPy array, got list"),
     ("bin_events", {"arg0": np.zeros(E, int)}, TypeError, "x must be float32 or float64, got int64"),
@@ -207,6 +221,25 @@ BAD = [
     ("bin_events", {"reduction": 0.0}, ValueError, "reduction must be at least 1e-06, got 0.0"),
     ("splat_events", {"frame": f32(B, 3)}, ValueError, "frame must have a positive scale, got 0.0"),
     ("splat_events", {"lag": f32(B, 3)}, ValueError, "lag must have shape (B, 2) with B = 2, got (2, 3)"),
+    (
+        "splat_events",
+        {"arg5": f32(B, 4)},
+        ValueError,
+        "motion must have shape (B, 2) or (B, 6), got (2, 4)",
+    ),
+    (
+        "splat_events",
+        {"arg5": f32(3, 6)},
+        ValueError,
+        "motion must have shape (B, 6) with B = 2, got (3, 6)",
+    ),
+    ("splat_events", {"arg5": None}, TypeError, "motion must be a NumPy array, got NoneType"),
+    (
+        "deposit_events",
+        {"arg5": f32(B, 6)},
+        ValueError,
+        "motion must have shape (B, 2) with B = 2, got (2, 6)",
+    ),
     ("deposit_events", {"frame": f32(B, 3)}, ValueError, "frame must have a positive scale, got 0.0"),
     ("deposit_events", {"out": f32(B, Y, X)}, ValueError, "out must have shape (B, 2, Y, X), got (2, 9, 12)"),
     ("lag_operator", {"arg0": f32(B, 2, Y, 20)}, ValueError, "at least 16 + K = 21 wide, got 20"),
@@ -260,6 +293,27 @@ BAD = [
     ("align_poses", {"arg5": np.zeros((9, 4), np.int32)}, ValueError, "factors must have shape (P + 2, 4)"),
     ("align_poses", {"arg5": np.full((8, 4), 4, np.int32)}, ValueError, "terms must be 0 to 3, got 4 to 4"),
     ("code_rhs", {"samples_a_module": 0}, ValueError, "samples_a_module must be at least 1, got 0"),
+    (
+        "pose_normal_equations",
+        {"arg0": f32(3, 4)},
+        ValueError,
+        "moments must have shape (N, 5) with N = 3,",
+    ),
+    (
+        "pose_normal_equations",
+        {"arg2": np.zeros((9, 4), np.int32), "arg3": np.zeros((9, 4), np.int32)},
+        ValueError,
+        "terms must have shape (8, 4) or (10, 4), got (9, 4)",
+    ),
+    (
+        "pose_normal_equations",
+        {"arg2": np.full((8, 4), 4, np.int32)},
+        ValueError,
+        "terms must be 0 to 3, got 4 to 4",
+    ),
+    ("code_normal_equations", {"reach": -1}, ValueError, "reach must be at least 0, got -1"),
+    ("code_product", {"arg1": f32(B, 4, 4)}, ValueError, "stencil must have an odd side, got (2, 4, 4)"),
+    ("solve_code_banded", {"arg1": f32(B, 2, 2)}, ValueError, "stencil must have an odd side, got (2, 2, 2)"),
     ("solve_code", {"arg1": f32(B, 4, 4)}, ValueError, "stencil must have an odd side, got (2, 4, 4)"),
     ("solve_code", {"max_iterations": -1}, ValueError, "max_iterations must be at least 0, got -1"),
     (

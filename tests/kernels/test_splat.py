@@ -123,13 +123,24 @@ def test_adjoint_in_the_weights(placed, dtype, rng):
     assert_adjoint(image, back.inputs[8], call.inputs[3], adj_weight)
 
 
+@pytest.mark.parametrize("affine", [False, True], ids=["uniform", "affine"])
 @pytest.mark.parametrize("lag", [0.0, 1.7])
-def test_adjoint_in_the_motion(lag, placed, rng):
+def test_adjoint_in_the_motion(lag, affine, placed, rng):
     """The direction of the motion is a parameter of the lag: with a lag, only along the motion."""
     back = cases.splat_events_adjoint(rng, np.float64)
     *inputs, adj_image = back.inputs
     inputs[5] = motion = rng.uniform(1000, 3000, (cases.B, 2))
     inputs[6] = np.full((cases.B, 2), lag)
+    # 1e-6 px/s would move an event by 1e-9 px: steps in units of pixels over the window
+    unit = np.full(2, 1e3)
+    if affine:
+        inputs[5] = motion = np.hstack([motion, cases.affine_motion(rng, np.float64)])
+        unit = np.r_[unit, np.full(4, 1e3 / cases.X)]
+        back.outputs = [
+            filled((cases.B, 5, 6), np.float64),
+            back.outputs[1],
+            filled((cases.B, 6), np.float64),
+        ]
     back.inputs = [*inputs, adj_image]
     _, adj_motion = back.run(placed)
 
@@ -139,10 +150,31 @@ def test_adjoint_in_the_motion(lag, placed, rng):
         return np.vdot(call.run(placed)[0], adj_image)
 
     along = motion / np.linalg.norm(motion, axis=1, keepdims=True)
-    # 1e-6 px/s would move an event by 1e-9 px: steps in units of pixels over the window
-    per_px = 1e3
-    directions = [along * per_px] if lag else [along * per_px, along[:, ::-1] * [per_px, -per_px]]
+    directions = [along * 1e3]
+    if not lag:
+        directions += list(np.eye(len(unit))[:, None, :] * np.ones((cases.B, 1)) * unit)
     assert_differences(loss, motion, adj_motion, directions)
+
+
+def test_affine_motion_turns_about_the_middle_of_the_image():
+    """Events of a point that turns about the middle fall on one place; the middle itself stays."""
+    turn, middle, position = 30.0, np.array([15.5, 11.5]), np.array([21.5, 9.5])
+    t = np.array([0.0, 4e-4, -4e-4])
+    motion = np.array([[0.0, 0.0, 0.0, -turn, turn, 0.0]])
+    # where (1 - t A)^-1 takes it: what the transport, first order in t, undoes exactly
+    matrix = motion[0, 2:].reshape(2, 2)
+    seen = np.array([middle + np.linalg.solve(np.eye(2) - s * matrix, position - middle) for s in t])
+    image = splat(*seen.T, t=t, motion=motion)
+    np.testing.assert_allclose(image, 3 * splat(*position), rtol=0, atol=1e-12)
+    still = splat(*np.tile(middle, (3, 1)).T, t=t, motion=motion)
+    np.testing.assert_allclose(still, 3 * splat(*middle), rtol=0, atol=1e-12)
+
+
+def test_affine_motion_without_a_field_is_uniform(placed, dtype, rng):
+    call = cases.splat_events(rng, dtype)
+    expected = call.run(placed)
+    call.inputs[5] = np.hstack([call.inputs[5], np.zeros((cases.B, 4), dtype)])
+    assert_close(*call.run(placed), *expected)
 
 
 def test_adjoint_of_events_that_miss_the_image_is_zero(placed, dtype, rng):

@@ -42,7 +42,7 @@ KERNELS = [
 
 def test_kernels_are_found():
     names = {parameter.values[0].name for parameter in KERNELS}
-    assert {"splat_events", "correlate_basis", "solve_windows", "render_affine"} <= names
+    assert {"splat_events", "correlate_basis", "solve_windows", "render_code"} <= names
 
 
 @pytest.mark.parametrize("kernel", KERNELS)

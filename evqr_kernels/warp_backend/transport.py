@@ -1,0 +1,78 @@
+"""Moving events to the reference time.
+
+An event at x, seen t after it, comes from ``x - t v(x)``, in pixels of an image with a corner and a scale
+(``frame``).  The velocity is the same everywhere, or affine in position,
+
+    v = m                                  2 parameters
+    v(x) = m + A (x - c)                   6 parameters: m_x, m_y, A_xx, A_xy, A_yx, A_yy
+
+with c the middle of the image, so that m is what the image does as a whole and A how it turns and grows.
+Adjoint, for f = d loss / d v of one event: ``adj_m = f``, ``adj_A = f (x - c)^T``.
+"""
+
+from functools import cache
+
+import warp as wp
+
+from evqr_kernels.warp_backend.language import vector
+
+
+@cache
+def make_transport(dtype: type) -> wp.Function:
+    """Build the function that brings an event to image pixels at the reference time, along one axis."""
+
+    @wp.func
+    def transport(position: dtype, t: dtype, motion: dtype, origin: dtype, inverse_scale: dtype) -> dtype:
+        return (position - t * motion - origin + dtype(0.5)) * inverse_scale - dtype(0.5)
+
+    return transport
+
+
+@cache
+def make_middle(dtype: type) -> wp.Function:
+    """Build the function that gives the middle of an image along one axis [px]."""
+
+    @wp.func
+    def middle(origin: dtype, scale: dtype, size: int) -> dtype:
+        return origin - dtype(0.5) + dtype(0.5) * scale * dtype(size)
+
+    return middle
+
+
+@cache
+def make_velocity(dtype: type, parameters: int) -> wp.Function:
+    """Build the function that gives the velocity at (dx, dy) from the middle, for 2 or 6 parameters."""
+    if parameters == 2:
+
+        @wp.func
+        def velocity(motion: wp.array2d(dtype=dtype), window: int, dx: dtype, dy: dtype):
+            return motion[window, 0], motion[window, 1]
+
+        return velocity
+
+    @wp.func
+    def velocity_field(motion: wp.array2d(dtype=dtype), window: int, dx: dtype, dy: dtype):
+        along_x = motion[window, 0] + motion[window, 2] * dx + motion[window, 3] * dy
+        along_y = motion[window, 1] + motion[window, 4] * dx + motion[window, 5] * dy
+        return along_x, along_y
+
+    return velocity_field
+
+
+@cache
+def make_velocity_adjoint(dtype: type, parameters: int) -> wp.Function:
+    """Build the adjoint of the velocity of one event in the parameters."""
+    vec = vector(parameters, dtype)
+    if parameters == 2:
+
+        @wp.func
+        def velocity_adjoint(adj_x: dtype, adj_y: dtype, dx: dtype, dy: dtype) -> vec:
+            return vec(adj_x, adj_y)
+
+        return velocity_adjoint
+
+    @wp.func
+    def velocity_field_adjoint(adj_x: dtype, adj_y: dtype, dx: dtype, dy: dtype) -> vec:
+        return vec(adj_x, adj_y, adj_x * dx, adj_x * dy, adj_y * dx, adj_y * dy)
+
+    return velocity_field_adjoint

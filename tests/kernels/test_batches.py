@@ -1,0 +1,171 @@
+"""Batches: windows permuted, one by one, by the hundred, on threads, repeated; and batches too large."""
+
+from concurrent.futures import ThreadPoolExecutor
+
+import numpy as np
+import pytest
+
+import evqr_kernels
+
+from . import cases
+from .helpers import assert_close, filled
+from .test_align import CENTRE, SCALE, scene, starts
+
+SUMMED = {"sample_moments_adjoint", "lag_operator_adjoint"}
+"""Operations whose outputs add up over the poses or images that look at one and the same."""
+
+ATOMIC = {"bin_events", "splat_events", "deposit_events", "sample_moments_adjoint"}
+"""Operations that add up in no certain order on a GPU."""
+
+EVENT_COLUMNS = {"bin_events": 3, "splat_events": 4, "splat_events_adjoint": 4, "deposit_events": 4}
+EVENT_COLUMNS["deposit_events_adjoint"] = 4
+
+SHARED = {
+    "correlate_templates": (2, 3, 4),
+    "surface_peak": (1,),
+    "match_corners": (1,),
+    "mix_images": (0,),
+    "lag_operator": (0, 4),
+    "sample_moments": (0, 4, 5),
+    "pose_normal_equations": (1, 2, 3),
+    "code_rhs": (2, 3, 4),
+    "code_normal_equations": (2, 3, 4),
+    "code_product": (3,),
+    "solve_code_banded": (3,),
+}
+"""Which inputs are one for all windows."""
+
+ALL = [*cases.CALLS, cases.solve_code_banded]
+WINDOWED = [make for make in ALL if make(np.random.default_rng(0), np.float32).op not in SUMMED]
+
+every_operation = pytest.mark.parametrize("make", ALL, ids=lambda make: make.__name__)
+every_windowed = pytest.mark.parametrize("make", WINDOWED, ids=lambda make: make.__name__)
+
+
+def made(make, dtype):
+    return make(np.random.default_rng(5), dtype)
+
+
+def windows_in(call):
+    """Windows, or poses, of a call."""
+    return len(call.outputs[-1])
+
+
+def gathered(array, windows, ptr):
+    """Take windows of an array of all events, or of one with a row a window."""
+    if ptr is not None and array.shape == (ptr[-1],):
+        parts = [array[ptr[b] : ptr[b + 1]] for b in windows]
+        return np.concatenate(parts) if parts else array[:0]
+    return array[windows]
+
+
+def of_windows(call, windows):
+    """Make the call with these of its windows, in this order; and take them from the results of the call."""
+    columns = EVENT_COLUMNS.get(call.op, 0)
+    ptr = call.inputs[columns] if columns else None
+    windows = np.asarray(windows)
+    inputs = []
+    for k, argument in enumerate(call.inputs):
+        if columns and k == columns:
+            inputs.append(np.r_[0, np.cumsum(np.diff(ptr)[windows])].astype(np.int32))
+        elif isinstance(argument, np.ndarray) and k not in SHARED.get(call.op, ()):
+            inputs.append(gathered(argument, windows, ptr))
+        else:
+            inputs.append(argument)
+    outputs = [gathered(output, windows, ptr) for output in call.outputs]
+    part = cases.Call(call.op, inputs, outputs, call.tail, call.options, call.scratch)
+    return part, lambda results: [gathered(result, windows, ptr) for result in results]
+
+
+def assert_same(op, placed, got, expected):
+    """Bit for bit, but for operations that add up in no certain order."""
+    for one, other in zip(got, expected, strict=True):
+        if placed.device != "cpu" and op in ATOMIC:
+            assert_close(one, other)
+        else:
+            np.testing.assert_array_equal(one, other)
+
+
+@pytest.mark.parametrize("windows", [[2, 0, 1], [0], [1], [2], [1, 1, 0]], ids=str)
+@every_windowed
+def test_any_windows_give_what_they_give_in_the_batch(make, windows, placed, dtype):
+    """Permuted, one by one (an empty one among them), and twice."""
+    call = made(make, dtype)
+    together = call.run(placed)
+    part, take = of_windows(call, windows)
+    assert_same(call.op, placed, part.run(placed), take(together))
+
+
+@every_windowed
+def test_batch_of_512(make, placed, dtype):
+    call = made(make, dtype)
+    windows = np.arange(512) % windows_in(call) if call.op not in EVENT_COLUMNS else np.arange(512) % cases.B
+    part, take = of_windows(call, windows)
+    assert_same(call.op, placed, part.run(placed), take(call.run(placed)))
+
+
+@every_operation
+def test_repeated(make, placed, dtype):
+    call = made(make, dtype)
+    first = call.run(placed)
+    for _ in range(3):
+        assert_same(call.op, placed, call.run(placed), first)
+
+
+@every_windowed
+def test_windows_on_threads(make, placed, dtype):
+    """Disjoint windows may run on as many threads as one likes."""
+    call = made(make, dtype)
+    together = call.run(placed)
+    parts = [of_windows(call, [b % cases.B]) for b in range(12)]
+    with ThreadPoolExecutor(3) as pool:
+        results = list(pool.map(lambda part: part[0].run(placed), parts))
+    for (_, take), result in zip(parts, results, strict=True):
+        assert_same(call.op, placed, result, take(together))
+
+
+@pytest.mark.parametrize("order", [[2, 0, 1], [1], [0, 2] * 256], ids=["permuted", "one", "512"])
+def test_any_poses_align_as_in_the_batch(order, placed, dtype):
+    image, points, table, terms, factors = scene(dtype, tilt=True)
+    options = {"centre": CENTRE, "scale": SCALE, "max_iterations": 3}
+    options |= {"backend": placed.backend.name, "device": placed.device}
+
+    def align(poses):
+        idx = np.zeros(len(poses), np.int32)
+        return evqr_kernels.align_poses(image, idx, poses, points, table, terms, factors, **options)
+
+    for whole, part in zip(align(starts(dtype)), align(starts(dtype)[order]), strict=True):
+        np.testing.assert_array_equal(whole[order], part)
+
+
+@pytest.mark.parametrize("order", [[2, 0, 1], [1], [0, 2] * 256], ids=["permuted", "one", "512"])
+def test_any_codes_are_solved_as_in_the_batch(order, placed, dtype, rng):
+    rhs, stencil, damping, free, start = cases.system(rng, dtype, 9)
+    where = {"backend": placed.backend.name, "device": placed.device}
+    whole = evqr_kernels.solve_code(rhs, stencil, damping, free, start, **where)
+    part = evqr_kernels.solve_code(rhs[order], stencil[order], damping[order], free, start[order], **where)
+    for one, other in zip(whole, part, strict=True):
+        np.testing.assert_array_equal(one[order], other)
+
+
+def huge(*shape):
+    """An array of so many elements that takes no memory."""
+    return np.broadcast_to(np.float32(0), shape)
+
+
+def test_more_than_an_index_can_hold_is_refused():
+    few = np.zeros((1, 2), np.float32)
+    with pytest.raises(
+        ValueError, match="luminance must have fewer than 2147483648 elements, got 2147483648"
+    ):
+        evqr_kernels.brightness_residual(huge(1, 2**16, 2**15), huge(1, 2**16, 2**15), few)
+    with pytest.raises(ValueError, match="x must have at most 1073741824 events, got 1073741825"):
+        evqr_kernels.bin_events(
+            *[huge(2**30 + 1)] * 3, np.array([0, 2**30 + 1], np.int32), reduction=1.0, shape=(2, 2)
+        )
+    grid, outside = filled((1, 3, 3), np.float32, 0), np.zeros(1, np.float32)
+    with pytest.raises(ValueError, match="result must have fewer than 2147483648 elements, got 4294967296"):
+        evqr_kernels.render_code(grid, np.zeros((1, 6), np.float32), outside, shape=(2**16, 2**16))
+    with pytest.raises(ValueError, match="scratch must have fewer than 2147483648 elements"):
+        pose, lattice, profile = np.zeros((1, 9), np.float32), huge(2**16), huge(4)
+        evqr_kernels.code_rhs(grid, pose, lattice, profile, profile, few, samples_a_module=2)

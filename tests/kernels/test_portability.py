@@ -1,0 +1,83 @@
+"""The check of what kernels need on a GPU: it finds every kernel, and complains of what it should."""
+
+import ast
+import importlib.util
+import json
+from dataclasses import replace
+from pathlib import Path
+
+import pytest
+import warp as wp
+
+from .test_style import FILES, decorated
+
+SCRIPT = Path(__file__).parents[2] / "perf" / "portability.py"
+spec = importlib.util.spec_from_file_location("portability", SCRIPT)
+portability = importlib.util.module_from_spec(spec)
+spec.loader.exec_module(portability)
+
+SETTINGS = {
+    "budgets": {"float32": {"registers": 64, "stack": 0, "local": 0}},
+    "matrices": {"kernels": ["matrix"], "float32": 96},
+    "exceptions": {"file_? wide float32": {"registers": 70, "reason": "it is wide"}},
+}
+PLAIN = portability.Usage("file_4", "plain", "float32", 90, registers=64)
+DUMP = """
+ Function make_one__locals__one_cuda_kernel_forward:
+  REG:40 STACK:16 SHARED:2048 LOCAL:0
+\t\tFunction : make_one__locals__one_cuda_kernel_forward
+        /*1490*/    REDG.E.ADD.F32.FTZ.RN.STRONG.GPU desc[UR16][R14.64], R27 ;
+        /*1491*/    STL.64 [R1+0x1b8], RZ ;
+        /*1492*/    LDL R2, [R1] ;
+        /*1493*/    REDUX.SUM UR4, R2 ;
+"""
+
+
+def test_every_kernel_is_found():
+    in_sources = {
+        kernel.name
+        for file in FILES
+        if file.parent.name == "warp_backend"
+        for kernel in decorated(ast.parse(file.read_text()), "kernel")
+    }
+    settings = json.loads(SCRIPT.with_suffix(".json").read_text())
+    modules = portability.build(wp.float32, settings["variants"], {})
+    built = {kernel.func.__name__ for module in modules for kernel in module.kernels.values()}
+    assert built == in_sources
+
+
+@pytest.mark.parametrize(
+    ("row", "complaint"),
+    [
+        (PLAIN, None),
+        (replace(PLAIN, registers=65), "file_4 plain float32 sm_90: 65 registers, the budget is 64"),
+        (replace(PLAIN, stack=8), "file_4 plain float32 sm_90: 8 stack, the budget is 0"),
+        (replace(PLAIN, local=1), "file_4 plain float32 sm_90: 1 local, the budget is 0"),
+        (replace(PLAIN, kernel="matrix", registers=96), None),
+        (
+            replace(PLAIN, kernel="matrix", registers=97),
+            "file_4 matrix float32 sm_90: 97 registers, the budget is 96",
+        ),
+        (replace(PLAIN, kernel="wide", registers=70), None),
+        (
+            replace(PLAIN, kernel="wide", registers=71),
+            "file_4 wide float32 sm_90: 71 registers, the budget is 70",
+        ),
+        (replace(PLAIN, kernel="wide"), "file_? wide float32: the exception is not needed any more"),
+    ],
+)
+def test_budgets(row, complaint):
+    assert portability.complaints([row], SETTINGS) == ([complaint] if complaint else [])
+
+
+def test_what_the_disassembler_says_is_read(monkeypatch, tmp_path):
+    answers = iter(DUMP.partition("\t\t")[::2])
+
+    class Done:
+        def __init__(self, *_, **__):
+            self.stdout = next(answers)
+
+    monkeypatch.setattr(portability, "cuobjdump", lambda: "cuobjdump")
+    monkeypatch.setattr(portability.subprocess, "run", Done)
+    (usage,) = portability.usages(tmp_path, "file", "float32", 90)
+    assert usage == portability.Usage("file", "one", "float32", 90, 40, 16, local=2, atomics=1)
