@@ -1,4 +1,4 @@
-"""The command line: `evqr read | info | simulate | demo`.
+"""The command line: `evqr read | info | simulate | demo`, and what `cli_paper` adds.
 
 Results go to stdout; progress, notes and errors go to stderr.  Exit status: 0 something was read, 1 nothing
 was read, 2 bad input or bad use, 130 interrupted.
@@ -6,6 +6,7 @@ was read, 2 bad input or bad use, 130 interrupted.
 
 from __future__ import annotations
 
+import importlib
 import io
 import multiprocessing
 import os
@@ -15,7 +16,7 @@ from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import ProcessPoolExecutor
 from contextlib import contextmanager
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, ClassVar
 
 import click
 
@@ -112,20 +113,37 @@ def _refuse(message: str) -> int:
     return BAD
 
 
-def _note(message: str) -> None:
+def note(message: str) -> None:
+    """Say something that is no result."""
     click.echo(f"evqr: {message}", err=True)
 
 
-def _examples(*lines: str) -> str:
+def examples(*lines: str) -> str:
+    """Give a command's epilog."""
     return "\b\nExamples:\n" + "\n".join(
         f"  {line}" for line in lines
     )  # \b: click leaves the lines as they are
 
 
+class _Commands(click.Group):
+    """Commands, some of which live in modules that are imported when they are first asked for."""
+
+    elsewhere: ClassVar = {"dataset": "evqr.cli_paper", "table1": "evqr.cli_paper"}
+
+    def list_commands(self, ctx: click.Context) -> list[str]:
+        return sorted([*super().list_commands(ctx), *self.elsewhere])
+
+    def get_command(self, ctx: click.Context, cmd_name: str) -> click.Command | None:
+        if cmd_name in self.elsewhere:
+            return getattr(importlib.import_module(self.elsewhere[cmd_name]), cmd_name)
+        return super().get_command(ctx, cmd_name)
+
+
 @click.group(
+    cls=_Commands,
     no_args_is_help=False,
     context_settings={"help_option_names": ["-h", "--help"]},
-    epilog=_examples("evqr demo", "evqr read line3.raw"),
+    epilog=examples("evqr demo", "evqr read line3.raw"),
 )
 @click.version_option(package_name="evqr", message="evqr %(version)s")
 def evqr() -> None:
@@ -173,7 +191,7 @@ def _backend_options(command: Callable[..., Any]) -> Callable[..., Any]:
 
 
 @evqr.command(
-    epilog=_examples(
+    epilog=examples(
         "evqr read line3.raw",
         "evqr read line3.h5 --json --picture line3.png",
         "evqr read shift1/*.h5 --json --jobs 4",
@@ -255,7 +273,7 @@ def read(
         else:
             status = _read_one(recording, as_json, picture, threads=threads, **compute)
         for warning in recording.warnings:
-            _note(f"{recording.path}: {warning}")
+            note(f"{recording.path}: {warning}")
         return status
 
 
@@ -281,7 +299,7 @@ def _prepare(backend: str, device: str) -> None:
     except (BackendUnavailable, ValueError) as error:
         raise UsageError(str(error)) from error
     if kernels.needs_compile(device):
-        _note(COMPILING)
+        note(COMPILING)
         kernels.load(device)
 
 
@@ -297,7 +315,7 @@ def _read_one(recording: Recording, as_json: bool, picture: Path | None, **optio
         reading = result.readings[0]
         save_picture(picture, picture_events(recording, reading), reading)
     elif picture:
-        _note(f"nothing read: {picture} is not drawn")
+        note(f"nothing read: {picture} is not drawn")
     return _exit_status([result.status])
 
 
@@ -317,7 +335,7 @@ def _read_many(recordings: tuple[Path, ...], jobs: int, as_json: bool, **options
     from evqr.many import read_many
 
     statuses = []
-    with _process_pool(jobs) as pool:
+    with process_pool(jobs) as pool:
         results = read_many(recordings, executor=pool, **options)
         # disable=None: no bar where stderr is no terminal
         for path, result in zip(
@@ -332,7 +350,7 @@ def _read_many(recordings: tuple[Path, ...], jobs: int, as_json: bool, **options
 
 
 @contextmanager
-def _process_pool(jobs: int) -> Iterator[ProcessPoolExecutor | None]:
+def process_pool(jobs: int) -> Iterator[ProcessPoolExecutor | None]:
     """Start workers as fresh processes: kernels and their threads do not survive a fork."""
     if jobs == 1:
         yield None
@@ -382,7 +400,7 @@ def _progress_bar(name: str) -> Iterator[Callable[[int, int | None], None] | Non
         yield advance
 
 
-@evqr.command(epilog=_examples("evqr info line3.raw", "evqr info events.txt --sensor 640x480 --time-unit s"))
+@evqr.command(epilog=examples("evqr info line3.raw", "evqr info events.txt --sensor 640x480 --time-unit s"))
 @click.argument("recording", metavar="RECORDING", type=click.Path(path_type=Path))
 @click.option("--json", "as_json", is_flag=True, help="One JSON object on stdout.")
 @_recording_options
@@ -397,7 +415,7 @@ def info(recording: Path, as_json: bool, sensor: tuple[int, int] | None, time_un
 
 
 @evqr.command(
-    epilog=_examples('evqr simulate pass.h5 --text "LOT 42" --preset fast --seed 1', "evqr read pass.h5")
+    epilog=examples('evqr simulate pass.h5 --text "LOT 42" --preset fast --seed 1', "evqr read pass.h5")
 )
 @click.argument("output", metavar="OUT.h5", type=click.Path(path_type=Path))
 @click.option(
@@ -468,7 +486,7 @@ def simulate(
 
     writer_of(output)  # before the work is done
     if needs_compile():
-        _note(COMPILING)
+        note(COMPILING)
     made = run_simulation(
         text,
         version=version,
@@ -494,7 +512,7 @@ def simulate(
     return OK
 
 
-@evqr.command(epilog=_examples("evqr demo --picture demo.png"))
+@evqr.command(epilog=examples("evqr demo --picture demo.png"))
 @click.option(
     "--picture",
     type=click.Path(path_type=Path),

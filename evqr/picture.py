@@ -82,7 +82,7 @@ def require_drawable(path: str | PathLike[str]) -> None:
     """Raise what `save_picture` raises for this path whatever it is to draw, before anything is computed."""
     path = Path(path)
     ending = path.suffix.removeprefix(".").lower()
-    if ending not in _figure_class()().canvas.get_supported_filetypes():
+    if ending not in figure_class()().canvas.get_supported_filetypes():
         raise UsageError(f"{path}: unknown picture format {ending!r}: end the name in .png, .svg or .pdf")
     if not path.parent.is_dir():
         raise UsageError(f"{path}: cannot write the picture: no such folder")
@@ -117,7 +117,7 @@ def draw_reading(
     MissingExtra  matplotlib is not installed
     ValueError    ``truth`` has another shape than the estimate
     """
-    figure_class = _figure_class()
+    make_figure = figure_class()
     if truth is not None and truth.shape != reading.estimate.shape:
         raise ValueError(f"truth must have shape {reading.estimate.shape}, got {truth.shape}")
 
@@ -125,7 +125,7 @@ def draw_reading(
     aspect = events.width / events.height
     above = (inside - GAP) / (aspect + 1)  # the view, and a square beside it
     below = (inside - 2 * GAP) / 3
-    figure = figure_class(
+    figure = make_figure(
         figsize=(WIDTH, HEAD + TITLE + above + LEGEND + TITLE + below + LEGEND), dpi=110, facecolor="white"
     )
 
@@ -143,7 +143,8 @@ def draw_reading(
     return figure
 
 
-def _figure_class() -> type[Figure]:
+def figure_class() -> type[Figure]:
+    """Return matplotlib's `Figure`; raise MissingExtra where it is not installed."""
     try:
         from matplotlib.figure import Figure
     except ImportError as error:

@@ -1,5 +1,11 @@
-"""Rivals of the solver, on the same motion and the same kernels: what it is measured against.
+"""Ways to read a code, the paper's rivals, today's, and the solver itself, behind one interface (`method`).
 
-``integrate``  today's strongest simple way: compensate the motion, integrate along it, read the image
-``descent``    the paper's own gradient descent
+``camera``      row 1, a frame camera
+``bardow``      row 2, optical flow and intensity at once (Bardow et al. 2016)
+``without_qr``  row 3, the paper's cost without the code space
+``descent``     row 4, the paper's own gradient descent
+``own``         row 5, `evqr.Solver`
+``integrate``   row 6a, motion compensated and integrated along it, an ordinary decoder
+``decay``       row 6b, a decaying accumulator, an ordinary decoder
+``pattern``     how rows 1 to 3 find a code in an image
 """

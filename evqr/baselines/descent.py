@@ -6,8 +6,10 @@ in two steps (section 3.5): first the motion m and the map W, with q fixed where
 it, then q.  E is the image of the events, transported by m and splatted as Gaussians (section 3.3), L is
 bilinear (equation 5).  Rates and thresholds are those of section 4.2.  Where the paper leaves a choice open:
 
-- *start*: motion and pose come from the caller, the same that stage one starts from.  The paper's own start
-  (principal components, rows and columns matched to 1:1:3:1:1) fits few windows.
+- *start*: motion and pose are those that the solver's stage one starts from: `estimate_motion`, and three
+  finder patterns of its search, not refined.  The paper's own start (principal components, rows and columns
+  matched to 1:1:3:1:1) fits few windows, so this is to the method's favour.
+- *version*: told, as in the paper, whose r is given.
 - *units*: m is the displacement over the window [px]; W maps image coordinates, centred on the code and
   divided by half its side, to modules.  The rates are stable only for a cost divided by its largest curvature
   in q, lambda, which is `CURVATURE` |m|^2 whatever the size of a module.
@@ -19,22 +21,26 @@ bilinear (equation 5).  Rates and thresholds are those of section 4.2.  Where th
 - *pixels* of the first step: those whose L, neighbours included, is made of known modules only.
 - *outside*: the quiet zone is known too, and light: it anchors rows of modules along the motion.
 - *unknown modules* start at 0, and known ones stay fixed in the second step.
+- *iterations* to read are those of the second step; time to read is of both, and of the search.
 """
 
 from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, Literal
 
 import numpy as np
 from numpy.typing import DTypeLike, NDArray
 
+from evqr.baselines.method import Outcome, Watch, unwatched
 from evqr.codespace import code_space, size_of
 from evqr.decode import Decoded, decode_grid
+from evqr.initial.finder import find_hypotheses, find_peaks
+from evqr.initial.pose import screen
 from evqr.model import QUIET_MODULES
 from evqr.region import Region, events_near, module_px, outline
-from evqr.solver import StageClock
+from evqr.solver import Solver, StageClock
 from evqr.windows import Window
 from evqr.workspace import Workspace
 from evqr_kernels.config import SplatConfig
@@ -61,6 +67,7 @@ class DescentConfig:
     pose_tolerance   size of a step of W below which the first step has converged
     code_tolerance   size of a step of q below which the second step has converged
     max_iterations   of either step
+    shown_iterations of the second step that a watch is shown at least, converged or not
     """
 
     epsilon_px: float = 0.8
@@ -69,6 +76,7 @@ class DescentConfig:
     pose_tolerance: float = 0.001
     code_tolerance: float = 5.0
     max_iterations: int = 300
+    shown_iterations: int = 40
 
 
 @dataclass(frozen=True, eq=False)
@@ -93,6 +101,56 @@ class DescentReading:
     stage_one_iterations: int
     stage_two_iterations: int
     compute_ms: Mapping[str, float]
+
+
+class Descent:
+    """The paper's method, from a window of events and the code's version."""
+
+    takes: Literal["events"] = "events"
+    windows = 1
+    matched = False
+
+    def __init__(self, version: int, cfg: DescentConfig | None = None) -> None:
+        self.version = version
+        self.cfg = cfg or DescentConfig()
+        self._solver = Solver()
+
+    def read(self, seen: Window, watch: Watch) -> Outcome:
+        """Find the code, then take both steps; the second goes on while the watch wants to see more."""
+        start = self.start(seen)
+        if start is None:
+            return Outcome(converged=False)
+        cfg = self.cfg
+        problem = Problem(seen, *start, self.version, cfg.epsilon_px, workspace=self._solver.workspace)
+        motion, affine, _ = descend_pose(problem, cfg)
+        q, iterations = descend_code(problem, motion, affine, cfg, watch)
+        outcome = decode_grid(q, effort="full")
+        return Outcome(
+            modules=q,
+            pose=problem.pose_of(affine),
+            text=outcome.text if isinstance(outcome, Decoded) else None,
+            converged=iterations < cfg.max_iterations,
+        )
+
+    def start(self, window: Window) -> tuple[NDArray[np.float64], NDArray[np.float64]] | None:
+        """Give a first velocity [px/s] and pose (3, 3), None where three finder patterns are not found."""
+        solver = self._solver
+        motion = solver.motion_in(window)
+        if motion is None:
+            return None
+        finder, workspace = solver.config.finder, solver.workspace
+        peaks, pyramid = find_peaks(window, motion.velocity, finder, workspace=workspace)
+        guesses = [
+            h for h in find_hypotheses(peaks, finder, workspace=workspace) if h.version == self.version
+        ]
+        if not guesses:
+            return None
+        candidates, _ = screen(guesses, pyramid, solver.config.stage_one, workspace=workspace)
+        # which triple is the code is known from its refined pose; the descent starts from the pose as found
+        size = size_of(self.version)
+        refined = outline(candidates[0].pose, size)
+        pose = min((h.pose for h in guesses), key=lambda p: float(np.abs(outline(p, size) - refined).max()))
+        return motion.velocity, pose
 
 
 def read_window(
@@ -147,20 +205,32 @@ def descend_pose(
 
 
 def descend_code(
-    problem: Problem, motion: NDArray[np.float64], affine: NDArray[np.float64], cfg: DescentConfig
+    problem: Problem,
+    motion: NDArray[np.float64],
+    affine: NDArray[np.float64],
+    cfg: DescentConfig,
+    watch: Watch = unwatched,
 ) -> tuple[NDArray[np.float32], int]:
-    """Take the second step: modules (r, r), and count iterations."""
+    """Take the second step: modules (r, r) at convergence, and count iterations.
+
+    Where the watch has not seen enough by then, it is shown up to ``cfg.shown_iterations`` of what would
+    follow.
+    """
     problem.splat(motion)
     problem.splat(motion, gain=problem.gain(motion, affine))
-    grid, iterations = problem.known_grid.copy(), 0
-    while iterations < cfg.max_iterations:
-        iterations += 1
+    grid, inner = problem.known_grid, slice(QUIET_MODULES, -QUIET_MODULES)
+    final, iteration = None, 0
+    while iteration < cfg.max_iterations:
+        iteration += 1
         _, adj_grid = problem.code_gradient(grid, motion, affine)
         step = np.where(problem.free, cfg.code_rate * adj_grid, 0.0)
-        grid -= step
-        if np.linalg.norm(step) < cfg.code_tolerance:
+        grid = grid - step
+        enough = watch(iteration, grid[inner, inner])
+        if final is None and np.linalg.norm(step) < cfg.code_tolerance:
+            final = grid, iteration
+        if final is not None and (enough or iteration >= cfg.shown_iterations):
             break
-    inner = slice(QUIET_MODULES, -QUIET_MODULES)
+    grid, iterations = (grid, iteration) if final is None else final
     return grid[inner, inner].astype(np.float32), iterations
 
 

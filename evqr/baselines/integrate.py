@@ -24,16 +24,18 @@ import functools
 import math
 from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, Literal
 
 import numpy as np
 from numpy.typing import NDArray
 
+from evqr.baselines.method import Outcome, Watch
 from evqr.config import MotionConfig
 from evqr.initial.motion import Motion, estimate_motion
 from evqr.solver import StageClock
 from evqr.windows import Window
 from evqr.workspace import Workspace
+from evqr_kernels.backend import get_backend
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -66,6 +68,24 @@ class IntegrateReading:
     text: str | None
     image: NDArray[np.uint8] | None
     compute_ms: Mapping[str, float]
+
+
+class Integrate:
+    """Row 6a of the table: motion, compensated events, integration along the motion, zxing-cpp."""
+
+    takes: Literal["events"] = "events"
+    windows = 1
+    matched = False
+
+    def __init__(self) -> None:
+        backend = get_backend("auto")
+        backend.load("cpu")
+        self._workspace = Workspace(backend, "cpu")
+
+    def read(self, seen: Window, watch: Watch) -> Outcome:
+        """Read one window."""
+        reading = read_window(seen, workspace=self._workspace)
+        return Outcome(image=reading.image, text=reading.text, converged=reading.image is not None)
 
 
 def read_window(

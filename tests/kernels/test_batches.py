@@ -22,9 +22,9 @@ EVENT_COLUMNS["deposit_events_adjoint"] = 4
 
 SHARED = {
     "correlate_templates": (2, 3, 4),
+    "mix_images": (0,),
     "surface_peak": (1,),
     "match_corners": (1,),
-    "mix_images": (0,),
     "lag_operator": (0, 4),
     "sample_moments": (0, 4, 5),
     "pose_normal_equations": (1, 2, 3),

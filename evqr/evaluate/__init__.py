@@ -1,0 +1,1 @@
+"""How well methods read: metrics, the paper's table, its figures, a report."""

@@ -1,0 +1,152 @@
+"""Table, figures, report and command line, of cells that are made up."""
+
+import csv
+import io
+import json
+import re
+
+import numpy as np
+import pytest
+from click.testing import CliRunner
+
+from evqr import cli
+from evqr.dataset.manifest import load_manifest
+from evqr.evaluate.cell import Cell, CellResult
+from evqr.evaluate.figures import figures_of
+from evqr.evaluate.metrics import Trial
+from evqr.evaluate.paper import printed
+from evqr.evaluate.report import About, write_report
+from evqr.evaluate.table import csv_of, markdown_of, rows_of, table_of
+
+
+def made_up(tiny, method, *, wrong=0, **changes):
+    entry = load_manifest(tiny)[1]
+    truth = entry.truth()
+    modules = truth.modules.copy()
+    modules[tuple(np.argwhere(~truth.known)[:wrong].T)] *= -1
+    read = {} if wrong else {"text": "TINY", "seconds_to_read": 0.25, "iterations_to_read": 3}
+    trial = Trial(
+        modules=modules, converged=True, best_accuracy=0.75, confidence=0.9999, events_per_edge=5.0,
+        seconds=0.5, **read,
+    )  # fmt: skip
+    entry = type(entry)(**{**vars(entry), **changes})
+    return CellResult(
+        cell=Cell(recording=entry.name, method=method),
+        entry=entry,
+        trials=(trial, trial),
+        picture=np.zeros((160, 160), np.uint8),
+        speed_px_ms=5.0,
+        machine="an abacus",
+    )
+
+
+@pytest.fixture
+def results(tiny):
+    return [
+        made_up(tiny, "evqr", scene="faster"),
+        made_up(tiny, "descent", scene="faster", wrong=30),
+        made_up(tiny, "descent", scene="faster", angle=0.0),
+    ]
+
+
+def test_the_paper_s_numbers():
+    line = printed("slower", "bardow", 45)
+    assert (line.trials, line.mode_accuracy, line.seconds_to_read) == (172, 99.0, 21.1)
+    assert (line.iterations_to_read, line.max_accuracy, line.read_rate, line.image_read_rate) == (
+        33.5,
+        100,
+        100,
+        1.16,
+    )
+    assert printed("faster", "image", 0).mode_accuracy is None
+    assert printed("faster", "evqr", 0) is None and printed("faster", "descent", 20) is None
+    kinds = [("faster", "slower", "simulator"), ("image", "bardow", "without_qr", "descent"), (0, 30, 45)]
+    assert all(printed(s, m, a) for s in kinds[0] for m in kinds[1] for a in kinds[2])
+
+
+def test_the_table_is_in_the_paper_s_order_with_its_numbers_beside(results):
+    lines = table_of(results)
+    assert [(line.method, line.angle) for line in lines] == [("descent", 0), ("descent", 30), ("evqr", 30)]
+    rows = rows_of(lines)
+    assert rows[1][3:6] == ["2 (150)", "100.0 (99.2)", "0.25 (0.75)"]
+    assert rows[2][8] == "0.0 (96.7)" and rows[3][8] == "100.0" and rows[2][5] == "- (0.34)"
+    markdown = markdown_of(lines).splitlines()
+    assert markdown[2].startswith("| faster | Ours (the paper's) | 0 |") and markdown[3].startswith(
+        "|  |  | 30 |"
+    )
+
+
+def test_csv_has_a_column_a_number(results):
+    rows = list(csv.DictReader(io.StringIO(csv_of(table_of(results)))))
+    assert rows[0]["paper_read_rate"] == "92.7" and rows[0]["read_rate"] == "1.0"
+    assert rows[2]["paper_read_rate"] == "" and rows[2]["method"] == "evqr"
+
+
+def test_all_figures_are_drawn(results):
+    names = set(figures_of(results, []))
+    assert names == {
+        "figure7", "figure8", "read-rate-against-angle", "read-rate-against-motion",
+        "bits-and-reads-against-events", "time-against-events", "confidence",
+    }  # fmt: skip
+    assert not figures_of([], [])
+
+
+def test_wrong_modules_are_magenta_and_green(results):
+    figure = figures_of(results, [])["figure8"]
+    kinds = [axes.images[0].get_array() for axes in figure.axes if axes.images]
+    assert sorted(int((kind > 1).sum()) for kind in kinds) == [0, 0, 30]
+
+
+def test_the_report_holds_its_pictures(results, tmp_path):
+    written = write_report(tmp_path, results, [], About(command="evqr table1", dataset="made up <here>"))
+    assert all(path.stat().st_size for path in written)
+    page = (tmp_path / "report.html").read_text()
+    assert len(re.findall(r'src="data:image/png;base64,', page)) == 7 and "http" not in page
+    assert "made up &lt;here&gt;" in page and "an abacus" in page and '<span class="paper">(92.7)' in page
+    told = json.loads((tmp_path / "table1.json").read_text())
+    assert told["about"]["command"] == "evqr table1" and len(told["lines"]) == 3
+    assert "| faster |" in (tmp_path / "table1.md").read_text()
+
+
+def run(*arguments):
+    return CliRunner().invoke(cli.evqr, [str(a) for a in arguments], standalone_mode=False)
+
+
+def test_table1_from_the_command_line(tiny, tmp_path):
+    options = ["--methods", "evqr,integrate", "--trials", "integrate=1", "--quick"]
+    done = run("table1", "--dataset", tiny, "--out", tmp_path, *options)
+    assert done.exception is None, done.exception
+    lines = json.loads((tmp_path / "table1.json").read_text())["lines"]
+    assert [(line["method"], line["trials"]) for line in lines] == [
+        ("evqr", 2), ("evqr", 2), ("integrate", 1), ("integrate", 1),
+    ]  # fmt: skip
+
+
+@pytest.mark.parametrize(
+    ("options", "message"),
+    [
+        (["--methods", "magic"], "no method 'magic'"),
+        (["--scenes", "moon"], "no scene 'moon'"),
+        (["--trials", "magic=3"], "write N or METHOD=N"),
+        (["--trials", "0"], "write N or METHOD=N"),
+        (["--dask", "nowhere"], "no scheduler answers"),
+    ],
+    ids=["method", "scene", "trials of no method", "no trials", "dask"],
+)
+def test_table1_refuses(tiny, tmp_path, options, message):
+    done = run("table1", "--dataset", tiny, "--out", tmp_path, *options)
+    assert message in str(done.exception)
+
+
+def test_dataset_make_from_the_command_line(tmp_path, monkeypatch):
+    from evqr.dataset import scenes
+
+    few = list(scenes.scenes(most_windows=13))[:1]
+    monkeypatch.setattr(scenes, "scenes", lambda **options: iter(few))
+    done = run("dataset", "make", tmp_path / "qrecd")
+    assert done.exception is None and "1 scenes" in done.output
+
+
+def test_help_names_the_commands():
+    assert {"dataset", "table1", "read"} <= set(cli.evqr.list_commands(None))
+    assert "Bardow" not in run("--help").output
