@@ -8,6 +8,7 @@ import sys
 
 import numpy as np
 import pytest
+from backends import BACKENDS
 
 from evqr.demo import demo_recording, demo_truth
 
@@ -28,6 +29,13 @@ def test_demo(tmp_path):
     assert (status, out[0], said) == (0, TEXT, [])
     assert out[-1] == f"picture: {picture}"
     assert picture.read_bytes().startswith(b"\x89PNG")
+
+
+@pytest.mark.parametrize("backend", BACKENDS)
+def test_every_backend_reads_it(backend):
+    with demo_recording() as path:
+        status, out, said = evqr("read", path, "--backend", backend)
+    assert (status, out[0], said) == (0, TEXT, [])
 
 
 def test_windows_one_by_one():

@@ -5,6 +5,7 @@ from dataclasses import FrozenInstanceError, fields
 
 import numpy as np
 import pytest
+from backends import BACKENDS
 from scenes import at, joined, keep, middle_us, noise, scene, true_corners
 
 import evqr
@@ -407,9 +408,10 @@ def test_no_threads_are_refused(threads, events):
         read_codes(events, threads=threads)
 
 
-def test_the_numpy_backend_reads_the_same():
+@pytest.mark.parametrize("backend", BACKENDS)
+def test_every_backend_reads_the_same(backend):
     made = scene()
-    ours, theirs = (only(read_codes(made.events, backend=name)) for name in ("warp", "numpy"))
+    ours, theirs = (only(read_codes(made.events, backend=name)) for name in ("warp", backend))
     assert (ours.text, ours.version, ours.mask) == (theirs.text, theirs.version, theirs.mask)
     np.testing.assert_array_equal(ours.modules, theirs.modules)
     np.testing.assert_allclose(ours.corners_px, theirs.corners_px, atol=0.5)

@@ -96,12 +96,14 @@ class Hypothesis:
     pose : (3, 3)     code coordinates to px
     response          sum of the three responses
     inverted          light modules on dark
+    triple            which three patterns: hypotheses from the same ones differ in version
     """
 
     version: int
     pose: NDArray[np.float64]
     response: float
     inverted: bool
+    triple: int = 0
 
 
 @functools.cache
@@ -339,12 +341,13 @@ def find_hypotheses(
     best = np.argsort(-found[:, 0], kind="stable")
     wanted = cfg.looks[-1].hypotheses if most is None else most
     hypotheses: list[Hypothesis] = []
-    for i, (response, j, k, log_modules) in zip(corner[best], found[best].tolist(), strict=True):
+    rows = zip(corner[best], found[best].tolist(), strict=True)
+    for triple, (i, (response, j, k, log_modules)) in enumerate(rows):
         at = peaks.position[i]
         legs = peaks.position[int(j)] - at, peaks.position[int(k)] - at
         inverted = bool(peaks.response[i] < 0.0)
         for version in _versions(log_modules, cfg.scale_tolerance):
-            hypotheses.append(Hypothesis(version, _pose(at, *legs, version), response, inverted))
+            hypotheses.append(Hypothesis(version, _pose(at, *legs, version), response, inverted, triple))
         if len(hypotheses) >= wanted:
             break
     return hypotheses

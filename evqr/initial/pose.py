@@ -36,7 +36,7 @@ class Candidate:
 def screen(
     hypotheses: list[Hypothesis], pyramid: list[PyramidLevel], cfg: StageOneConfig, *, workspace: Workspace
 ) -> tuple[list[Candidate], int]:
-    """Refine hypotheses coarsely, until one of them is clearly a code.
+    """Refine hypotheses coarsely: those of the best triple, and the others if none of them is clearly a code.
 
     Returns
     -------
@@ -51,22 +51,27 @@ def screen(
     modules = np.sqrt(np.abs(poses[:, 0, 0] * poses[:, 1, 1] - poses[:, 0, 1] * poses[:, 1, 0]))
     wanted = np.log(modules / cfg.cells_a_module)
     levels = np.abs(np.log(cells) - wanted[:, None]).argmin(axis=1).tolist()
-    groups: dict[tuple[int, int], list[int]] = {}
-    for k, guess in enumerate(hypotheses):
-        groups.setdefault((guess.version, levels[k]), []).append(k)
     candidates: list[Candidate] = []
     iterations = 0
-    for (version, level), members in groups.items():
-        entry = pyramid[level]
-        start = entry.from_px @ poses[members]
-        found = align(entry.image, start, version, coarse_levels(cfg), cfg, workspace=workspace)
-        iterations += found.iterations
-        refined = entry.to_px @ found.pose
-        refined /= refined[:, 2:, 2:]
-        candidates += [
-            Candidate(version, pose, score) for pose, score in zip(refined, found.score.tolist(), strict=True)
-        ]
-        if found.score.max() >= cfg.clear_score:
+    # a version and its neighbours agree with a large code nearly alike, so all of a triple are tried
+    first = [k for k, guess in enumerate(hypotheses) if guess.triple == hypotheses[0].triple]
+    others = [k for k, guess in enumerate(hypotheses) if guess.triple != hypotheses[0].triple]
+    for batch in (first, others):
+        groups: dict[tuple[int, int], list[int]] = {}
+        for k in batch:
+            groups.setdefault((hypotheses[k].version, levels[k]), []).append(k)
+        for (version, level), members in groups.items():
+            entry = pyramid[level]
+            start = entry.from_px @ poses[members]
+            found = align(entry.image, start, version, coarse_levels(cfg), cfg, workspace=workspace)
+            iterations += found.iterations
+            refined = entry.to_px @ found.pose
+            refined /= refined[:, 2:, 2:]
+            candidates += [
+                Candidate(version, pose, score)
+                for pose, score in zip(refined, found.score.tolist(), strict=True)
+            ]
+        if max(candidate.score for candidate in candidates) >= cfg.clear_score:
             break
     candidates.sort(key=lambda candidate: -candidate.score)
     return candidates, iterations

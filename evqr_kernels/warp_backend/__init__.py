@@ -4,11 +4,8 @@ A launch on the CPU is one plain loop on the calling thread with the GIL release
 as many Python threads as the caller likes (call `WarpBackend.load` before they start).
 """
 
-import contextlib
 import os
-import sys
-import tempfile
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
 from typing import Any
 
 import numpy as np
@@ -17,6 +14,7 @@ from numpy.typing import DTypeLike, NDArray
 
 from evqr_kernels.backend import OPS, require_device
 from evqr_kernels.config import DEFAULT_KERNELS, KernelSet
+from evqr_kernels.native_output import without_lines
 from evqr_kernels.warp_backend import (
     align,
     banded,
@@ -81,7 +79,7 @@ class WarpBackend:
     def __init__(self) -> None:
         level = wp.config.log_level
         wp.config.log_level = wp.LOG_ERROR
-        with _without_driver_warning():
+        with without_lines(_NO_DRIVER):  # a machine without a GPU is no reason for a warning
             wp.init()
         self._cpu = wp.get_device("cpu")
         self._names = tuple(device.alias for device in wp.get_devices())
@@ -185,28 +183,6 @@ def _modules(kernels: KernelSet, device: str) -> list[wp.Module]:
         *solve.make_kernels(f32, on_cpu=device == "cpu"),
     ]
     return list(dict.fromkeys(kernel.module for kernel in made))
-
-
-@contextlib.contextmanager
-def _without_driver_warning() -> Iterator[None]:
-    """Hold back one line that native code prints: a machine without a GPU is no reason for a warning."""
-    try:
-        sys.stderr.flush()
-        kept = os.dup(2)
-    except (AttributeError, OSError):  # no standard error, as under pythonw
-        yield
-        return
-    with tempfile.TemporaryFile() as caught:
-        os.dup2(caught.fileno(), 2)
-        try:
-            yield
-        finally:
-            os.dup2(kept, 2)
-            os.close(kept)
-            caught.seek(0)
-            others = b"".join(line for line in caught if _NO_DRIVER not in line)
-            if others:
-                os.write(2, others)
 
 
 def load() -> WarpBackend:

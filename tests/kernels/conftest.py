@@ -2,20 +2,29 @@
 
 import numpy as np
 import pytest
+from backends import COMPARED, needs
 
 from evqr_kernels import get_backend
 
 from .helpers import Runner
 
-BACKENDS = ("warp",)
-"""Backends other than the specification."""
-
 
 def pytest_generate_tests(metafunc):
     if "placed" in metafunc.fixturenames:
         wanted = metafunc.config.getoption("device")
-        places = [(name, device) for name in BACKENDS for device in wanted or get_backend(name).devices()]
-        metafunc.parametrize("placed", places, ids="-".join, indirect=True)
+        all_places = [place for name in COMPARED for place in places(name, wanted)]
+        metafunc.parametrize("placed", all_places, indirect=True)
+
+
+def places(name, wanted):
+    """A backend on each of the wanted devices that it has; Taichi has one a process, by default the CPU."""
+    if needs(name):
+        return [pytest.param((name, "cpu"), marks=needs(name), id=f"{name}-cpu")]
+    devices = get_backend(name).devices()
+    chosen = [device for device in wanted if device in devices] if wanted else devices
+    if name == "taichi":
+        chosen = chosen[:1]
+    return [pytest.param((name, device), id=f"{name}-{device}") for device in chosen]
 
 
 @pytest.fixture(params=[np.float32, np.float64], ids=["float32", "float64"])

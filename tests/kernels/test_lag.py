@@ -4,6 +4,7 @@ from itertools import pairwise
 
 import numpy as np
 import pytest
+from backends import BACKENDS
 
 import evqr_kernels
 
@@ -61,7 +62,7 @@ def test_motion_and_frame_say_where():
     np.testing.assert_allclose(deposit[0, 0, 2:4, 2:4], 0.25)
 
 
-@pytest.mark.parametrize("name", ["numpy", "warp"])
+@pytest.mark.parametrize("name", BACKENDS)
 def test_the_operator_is_exact_for_a_ramp(name):
     column, row = np.meshgrid(np.arange(32.0), np.arange(20.0))
     deposit = np.stack([3 * column, 5 * row])[None]
@@ -73,7 +74,7 @@ def test_the_operator_is_exact_for_a_ramp(name):
     assert not border.any()
 
 
-@pytest.mark.parametrize("name", ["numpy", "warp"])
+@pytest.mark.parametrize("name", BACKENDS)
 def test_the_adjoint_is_the_operator_with_the_direction_turned(name, rng):
     deposit = rng.normal(size=(1, 2, 20, 30))
     direction, lag = np.array([0.6, -0.8]), (1.5, 2.5)
@@ -173,7 +174,7 @@ def test_order_of_events_does_not_matter_to_the_deposit(placed, dtype, rng):
     assert_close(*call.run(placed), *first)
 
 
-@pytest.mark.parametrize("backend", ["numpy", "warp"])
+@pytest.mark.parametrize("backend", BACKENDS)
 @pytest.mark.parametrize("sign", [1.0, -1.0])
 def test_a_lagged_line_becomes_symmetric(backend, sign):
     """Events of a line on pixels whose delays are exponential: the operator, given their mean, centres it.

@@ -2,6 +2,7 @@
 
 import numpy as np
 import pytest
+from backends import BACKENDS
 
 import evqr_kernels
 from evqr_kernels import backend, ops, register_backend
@@ -95,9 +96,10 @@ def test_every_operation_has_a_checked_function():
     assert set(GOOD) == set(OPS) <= set(evqr_kernels.__all__)
 
 
+@pytest.mark.parametrize("name", BACKENDS[1:])
 @pytest.mark.parametrize("op", OPS)
-def test_good_arguments_pass_on_both_backends(op):
-    for one, other in zip(as_tuple(call(op)), as_tuple(call(op, backend="warp")), strict=True):
+def test_good_arguments_pass_on_every_backend(op, name):
+    for one, other in zip(as_tuple(call(op)), as_tuple(call(op, backend=name)), strict=True):
         np.testing.assert_allclose(one, other, atol=1e-6)
 
 
@@ -143,7 +145,7 @@ def test_results_are_those_of_the_backend(op, rng, spec):
         np.testing.assert_allclose(one, other, rtol=0, atol=1e-12 * np.abs(other).max())
 
 
-@pytest.mark.parametrize("name", ["numpy", "warp"])
+@pytest.mark.parametrize("name", BACKENDS)
 def test_out_is_accumulated_or_overwritten_in_place(name):
     ones = np.ones(E, np.float32)
     out = np.full((B, Y, X), 2, np.float32)
@@ -157,9 +159,10 @@ def test_out_is_accumulated_or_overwritten_in_place(name):
     np.testing.assert_array_equal(out, 3)
 
 
-def test_out_that_is_not_contiguous():
+@pytest.mark.parametrize("name", BACKENDS)
+def test_out_that_is_not_contiguous(name):
     wide = np.zeros((B, Y, 2 * X), np.float32)
-    call("bin_events", arg2=np.ones(E, np.float32), out=wide[:, :, ::2], shape=None, backend="warp")
+    call("bin_events", arg2=np.ones(E, np.float32), out=wide[:, :, ::2], shape=None, backend=name)
     np.testing.assert_array_equal(wide[:, 0, 0], [4, 6])
 
 
@@ -171,9 +174,10 @@ def test_inputs_are_left_alone():
     np.testing.assert_array_equal(iterations, 1)
 
 
+@pytest.mark.parametrize("name", BACKENDS[1:])
 @pytest.mark.parametrize("shape", [(5, 5), (6, 7), (9, 4), (2, 2)])
-def test_templates_on_small_images(shape):
-    response, angle = call("correlate_templates", arg0=np.ones((B, *shape), np.float32), backend="warp")
+def test_templates_on_small_images(shape, name):
+    response, angle = call("correlate_templates", arg0=np.ones((B, *shape), np.float32), backend=name)
     expected = tuple(max(0, side - 4) for side in shape)
     assert response.shape == angle.shape == (B, *expected)
 

@@ -1,5 +1,7 @@
 """Conjugate gradients: against a dense solution, and both variants of the Warp backend."""
 
+import importlib
+
 import numpy as np
 import pytest
 
@@ -103,9 +105,7 @@ def test_nothing_to_do(what, placed, dtype, rng):
 @pytest.mark.parametrize("tolerance", [0.0, 1e-2])
 def test_variant_for_gpus_equals_the_specification(tolerance, placed, spec, dtype, rng):
     """The variant of one thread a row, which a CPU does not take by itself."""
-    if placed.backend.name != "warp":
-        pytest.skip("only the Warp backend has two variants")
-    from evqr_kernels.warp_backend import solve as warp_solve
+    variants = importlib.import_module(f"evqr_kernels.{placed.backend.name}_backend.solve")
 
     class Rows:
         from_host, to_host, synchronize = (
@@ -117,7 +117,7 @@ def test_variant_for_gpus_equals_the_specification(tolerance, placed, spec, dtyp
         @staticmethod
         def solve_code(rhs, stencil, damping, free, q, scratch, iterations, *, max_iterations, tolerance):
             arguments = (rhs, stencil, damping, free, scratch, q, iterations)
-            warp_solve.solve_rows(*arguments, max_iterations, tolerance)
+            variants.solve_rows(*arguments, max_iterations, tolerance)
 
     system = cases.system(rng, dtype, 12)
     rows = type("RowsRunner", (), {"backend": Rows, "device": placed.device})

@@ -60,14 +60,17 @@ def test_without_a_clear_one_every_hypothesis_is_a_candidate_and_the_best_come_f
     assert sorted(c.version for c in candidates) == sorted(h.version for h in hypotheses)
 
 
-def test_a_clear_one_ends_the_screening_and_is_far_better_than_wrong_versions(workspace):
-    pyramid, hypotheses, _ = searched(scene(), workspace)
-    hypotheses.sort(key=lambda h: h.version != 2)
-    some, _ = screen(hypotheses, pyramid, CONFIG, workspace=workspace)
-    assert {c.version for c in some} == {2}
-    every, _ = screen(hypotheses, pyramid, replace(CONFIG, clear_score=2.0), workspace=workspace)
-    assert some[0].score == every[0].score >= CONFIG.clear_score
-    assert max(c.score for c in every if c.version != 2) < CONFIG.clear_score
+def test_a_clear_triple_ends_the_screening_with_all_its_versions(workspace):
+    pyramid, _, pose = searched(scene(), workspace)
+    right = Hypothesis(2, moved(pose, 25, shift=(0.3, 0.2)), 2.0, False, 0)
+    neighbour = Hypothesis(3, moved(pose, 25, scale=25 / 29), 2.0, False, 0)
+    wrong = Hypothesis(2, moved(pose, 25, turn_deg=90.0), 1.0, False, 1)
+    candidates, _ = screen([neighbour, right, wrong], pyramid, CONFIG, workspace=workspace)
+    assert [c.version for c in candidates] == [2, 3]
+    assert candidates[0].score >= CONFIG.clear_score > candidates[1].score
+    every, _ = screen([wrong, right, neighbour], pyramid, CONFIG, workspace=workspace)
+    assert [c.version for c in every if c.score >= CONFIG.clear_score] == [2]
+    assert len(every) == 3
 
 
 def test_a_rough_pose_among_wrong_ones_is_refined_and_wins(workspace):

@@ -1,0 +1,175 @@
+"""Gauss-Newton on poses; the formulas are in ``warp_backend/align.py``."""
+
+from functools import cache
+
+from evqr_kernels.taichi_backend.language import array, float_of, is_alone, ti
+from evqr_kernels.taichi_backend.launches import launch
+from evqr_kernels.taichi_backend.pose import make_bilinear, make_project
+
+MOST = 10
+"""Parameters, the two of the gain included."""
+
+
+@ti.func
+def solve_positive(a, b, n):
+    """Solve a small symmetric positive system by elimination without pivots."""
+    for k in range(n):
+        for i in range(k + 1, n):
+            factor = a[i, k] / a[k, k]
+            for j in range(k + 1, n):
+                a[i, j] -= factor * a[k, j]
+            b[i] -= factor * b[k]
+    for r in range(n):
+        k = n - 1 - r
+        for j in range(k + 1, n):
+            b[k] -= a[k, j] * b[j]
+        b[k] /= a[k, k]
+    return b
+
+
+@cache
+def make_align_poses(dtype, columns: int, alone: bool):
+    """Build the kernel for a table of ``columns`` functions; one thread per pose."""
+    bilinear = make_bilinear(dtype)
+    project = make_project(dtype)
+    first = columns - 2
+    second = columns - 1
+
+    @ti.func
+    def gain_factor(kind, gain_u, gain_v):
+        factor = dtype(0.0)
+        if kind == 1:
+            factor = gain_u
+        elif kind == 2:
+            factor = gain_v
+        elif kind == 3:
+            factor = dtype(1.0)
+        return factor
+
+    @ti.func
+    def centred(offset):
+        one = dtype(1.0)
+        zero = dtype(0.0)
+        return ti.Matrix([[one, zero, offset], [zero, one, offset], [zero, zero, one]])
+
+    @ti.kernel
+    def align_poses(
+        image: array(dtype, 3),
+        image_idx: array(ti.i32, 1),
+        points: array(dtype, 2),
+        table: array(dtype, 2),
+        gram: array(dtype, 2),
+        terms: array(ti.i32, 2),
+        factors: array(ti.i32, 2),
+        settings: array(dtype, 1),
+        max_iterations: ti.i32,
+        pose_inout: array(dtype, 2),
+        result_out: array(dtype, 2),
+    ):
+        ti.loop_config(serialize=alone)
+        for h in range(pose_inout.shape[0]):
+            b = image_idx[h]
+            centre = settings[0]
+            scale = settings[1]
+            ridge = settings[2]
+            damping = settings[3]
+            tolerance = settings[4]
+            count = points.shape[0]
+            n = terms.shape[0]
+            parameters = n - 2
+            iterations = 0
+            moving = 1
+            while moving > 0:
+                moments = ti.Vector.zero(dtype, columns)
+                energy = dtype(0.0)
+                for s in range(count):
+                    x, y = project(pose_inout, h, points[s, 0], points[s, 1])
+                    e = bilinear(image, b, x, y)
+                    if e != dtype(0.0):
+                        for c in ti.static(range(columns)):
+                            moments[c] += e * table[s, c]
+                        energy += e * e
+                guu = gram[first, first]
+                guv = gram[first, second]
+                gvv = gram[second, second]
+                extra = ridge * (guu + gvv)
+                determinant = (guu + extra) * (gvv + extra) - guv * guv
+                gain_u = -((gvv + extra) * moments[first] - guv * moments[second]) / determinant
+                gain_v = -((guu + extra) * moments[second] - guv * moments[first]) / determinant
+                model = gain_u * gain_u * guu + dtype(2.0) * gain_u * gain_v * guv + gain_v * gain_v * gvv
+                cross = -(gain_u * moments[first] + gain_v * moments[second])
+                result_out[h, 0] = gain_u
+                result_out[h, 1] = gain_v
+                result_out[h, 2] = cross / ti.sqrt(ti.max(model * energy, dtype(1.0e-20)))
+                result_out[h, 3] = ti.max(energy - dtype(2.0) * cross + model, dtype(0.0)) / dtype(count)
+                result_out[h, 4] = dtype(iterations)
+                if iterations >= max_iterations or moving == 2:
+                    moving = 0
+                else:
+                    # normal matrix and right-hand side from the Gram matrix and the moments
+                    system = ti.Matrix.zero(dtype, MOST, MOST)
+                    right = ti.Vector.zero(dtype, MOST)
+                    for p in range(n):
+                        for k in range(4):
+                            if factors[p, k] != 0:
+                                c = terms[p, k]
+                                residual = moments[c] + gram[c, first] * gain_u + gram[c, second] * gain_v
+                                right[p] -= gain_factor(factors[p, k], gain_u, gain_v) * residual
+                        for q in range(p + 1):
+                            total = dtype(0.0)
+                            for k in range(4):
+                                if factors[p, k] != 0:
+                                    weight = gain_factor(factors[p, k], gain_u, gain_v)
+                                    for m in range(4):
+                                        if factors[q, m] != 0:
+                                            product = weight * gain_factor(factors[q, m], gain_u, gain_v)
+                                            total += product * gram[terms[p, k], terms[q, m]]
+                            system[p, q] = total
+                            system[q, p] = total
+                    trace = dtype(0.0)
+                    for p in range(n):
+                        trace += system[p, p]
+                    for p in range(n):
+                        system[p, p] *= dtype(1.0) + damping
+                        system[p, p] += dtype(1.0e-7) * trace + dtype(1.0e-12)
+                    step = solve_positive(system, right, n)
+                    size = dtype(0.0)
+                    for p in range(parameters):
+                        size += ti.abs(step[p])
+                    step /= ti.max(size, dtype(1.0))
+                    tilt_u = dtype(0.0)
+                    tilt_v = dtype(0.0)
+                    if parameters > 6:
+                        tilt_u = step[6]
+                        tilt_v = step[7]
+                    one = dtype(1.0)
+                    inverse_sq = one / (scale * scale)
+                    warp = ti.Matrix(
+                        [
+                            [one + step[1] / scale, step[2] / scale, step[0]],
+                            [step[4] / scale, one + step[5] / scale, step[3]],
+                            [-tilt_u * inverse_sq, -tilt_v * inverse_sq, one],
+                        ]
+                    )
+                    pose = ti.Matrix.zero(dtype, 3, 3)
+                    for r, c in ti.static(ti.ndrange(3, 3)):
+                        pose[r, c] = pose_inout[h, 3 * r + c]
+                    moved = pose @ centred(centre) @ warp.inverse() @ centred(-centre)
+                    for r, c in ti.static(ti.ndrange(3, 3)):
+                        pose_inout[h, 3 * r + c] = moved[r, c] / moved[2, 2]
+                    iterations += 1
+                    if size < tolerance:
+                        moving = 2
+
+    return align_poses
+
+
+def align_poses(
+    image, image_idx, points, table, gram, terms, factors, settings, max_iterations, pose_inout, result_out
+) -> None:
+    """Launch; overwrites the results."""
+    launch(
+        make_align_poses(float_of(image), table.shape[1], is_alone(pose_inout)),
+        *(image, image_idx, points, table, gram, terms, factors, settings, max_iterations),
+        *(pose_inout, result_out),
+    )

@@ -1,0 +1,147 @@
+"""Adjoints of ``deposit_events`` and ``lag_operator``; see ``warp_backend/lag_adjoint.py``."""
+
+from functools import cache
+
+from evqr_kernels.taichi_backend.language import array, float_of, ti
+from evqr_kernels.taichi_backend.launches import launch
+from evqr_kernels.taichi_backend.transport import make_transport
+
+
+@ti.func
+def window_of(window_ptr: ti.template(), event):
+    """Find the window of an event: the last one that begins at or before it, by bisection."""
+    low = 0
+    high = window_ptr.shape[0] - 1
+    while high - low > 1:
+        middle = (low + high) // 2
+        if window_ptr[middle] <= event:
+            low = middle
+        else:
+            high = middle
+    return low
+
+
+@cache
+def make_deposit_events_adjoint(dtype):
+    """Build the kernel; one thread per event."""
+    transport = make_transport(dtype)
+
+    @ti.kernel
+    def deposit_events_adjoint(
+        x: array(dtype, 1),
+        y: array(dtype, 1),
+        t: array(dtype, 1),
+        weight: array(dtype, 1),
+        window_ptr: array(ti.i32, 1),
+        motion: array(dtype, 2),
+        frame: array(dtype, 2),
+        adj_deposit: array(dtype, 4),
+        adj_weight_out: array(dtype, 1),
+    ):
+        for e in range(adj_weight_out.shape[0]):
+            b = window_of(window_ptr, e)
+            inverse_scale = dtype(1.0) / frame[b, 2]
+            cx = transport(x[e], t[e], motion[b, 0], frame[b, 0], inverse_scale)
+            cy = transport(y[e], t[e], motion[b, 1], frame[b, 1], inverse_scale)
+            right = dtype(adj_deposit.shape[3] - 1)
+            bottom = dtype(adj_deposit.shape[2] - 1)
+            adj = dtype(0.0)
+            # written so that it is false for NaN
+            if cx >= dtype(0.0) and cy >= dtype(0.0) and cx < right and cy < bottom:
+                column = int(cx)
+                row = int(cy)
+                fx = cx - dtype(column)
+                fy = cy - dtype(row)
+                image = ti.select(weight[e] < dtype(0.0), 1, 0)
+                for j in range(2):
+                    share_y = ti.select(j == 0, dtype(1.0) - fy, fy)
+                    for i in range(2):
+                        share_x = ti.select(i == 0, dtype(1.0) - fx, fx)
+                        adj += share_x * share_y * adj_deposit[b, image, row + j, column + i]
+            adj_weight_out[e] = adj
+
+    return deposit_events_adjoint
+
+
+def deposit_events_adjoint(x, y, t, weight, window_ptr, motion, frame, adj_deposit, adj_weight_out) -> None:
+    """Launch; overwrites."""
+    kernel = make_deposit_events_adjoint(float_of(x))
+    launch(kernel, x, y, t, weight, window_ptr, motion, frame, adj_deposit, adj_weight_out)
+
+
+@cache
+def make_lag_columns_adjoint(dtype):
+    """Build the pass along columns; one thread per (image, row)."""
+
+    @ti.kernel
+    def lag_columns_adjoint(
+        adj_image: array(dtype, 3),
+        taps: array(dtype, 2),
+        adj_rows_out: array(dtype, 4),
+    ):
+        for n, y in ti.ndrange(adj_image.shape[0], adj_image.shape[1]):
+            size = taps.shape[1]
+            reach = size // 2
+            height = adj_image.shape[1]
+            width = adj_image.shape[2]
+            for x in range(width):
+                along = dtype(0.0)
+                across = dtype(0.0)
+                # the operator makes no use of cells near the border: there the image is 0 whatever the
+                # deposit
+                if x >= reach and x < width - reach:
+                    for j in range(size):
+                        row = y + reach - j
+                        if row >= reach and row < height - reach:
+                            along += taps[0, j] * adj_image[n, row, x]
+                            across += taps[1, j] * adj_image[n, row, x]
+                adj_rows_out[n, 0, y, x] = along
+                adj_rows_out[n, 1, y, x] = across
+
+    return lag_columns_adjoint
+
+
+@cache
+def make_lag_rows_adjoint(dtype):
+    """Build the pass along rows; one thread per (deposit, row)."""
+
+    @ti.kernel
+    def lag_rows_adjoint(
+        adj_rows: array(dtype, 4),
+        deposit_idx: array(ti.i32, 1),
+        direction: array(dtype, 2),
+        lag: array(dtype, 2),
+        taps: array(dtype, 2),
+        adj_deposit_out: array(dtype, 4),
+    ):
+        for b, y in ti.ndrange(adj_deposit_out.shape[0], adj_deposit_out.shape[2]):
+            size = taps.shape[1]
+            reach = size // 2
+            width = adj_rows.shape[3]
+            for x in range(width):
+                on = dtype(0.0)
+                off = dtype(0.0)
+                for n in range(deposit_idx.shape[0]):
+                    if deposit_idx[n] == b:
+                        plain = dtype(0.0)
+                        slope = dtype(0.0)
+                        for i in range(size):
+                            column = x + reach - i
+                            if column >= 0 and column < width:
+                                along = adj_rows[n, 0, y, column]
+                                plain += taps[0, i] * along
+                                slope += direction[n, 0] * taps[1, i] * along
+                                slope += direction[n, 1] * taps[0, i] * adj_rows[n, 1, y, column]
+                        on += plain - lag[n, 0] * slope
+                        off += plain - lag[n, 1] * slope
+                adj_deposit_out[b, 0, y, x] = on
+                adj_deposit_out[b, 1, y, x] = off
+
+    return lag_rows_adjoint
+
+
+def lag_operator_adjoint(deposit_idx, direction, lag, taps, adj_image, rows_out, adj_deposit_out) -> None:
+    """Launch both passes; overwrites."""
+    dtype = float_of(adj_image)
+    launch(make_lag_columns_adjoint(dtype), adj_image, taps, rows_out)
+    launch(make_lag_rows_adjoint(dtype), rows_out, deposit_idx, direction, lag, taps, adj_deposit_out)

@@ -1,0 +1,74 @@
+"""Launching kernels and recording launches, under the one lock that Taichi's front end needs."""
+
+import inspect
+import threading
+from collections.abc import Callable
+from functools import partial
+from typing import Any
+
+import numpy as np
+
+from evqr_kernels.taichi_backend.arrays import is_part, read, write
+from evqr_kernels.taichi_backend.language import DTYPES
+
+LOCK = threading.RLock()
+"""Held while Taichi compiles, launches or copies: its front end has one state for all threads."""
+
+
+class _Recording(threading.local):
+    """What this thread records instead of launching; None while it does not."""
+
+    steps: list[Callable[[], Any]] | None = None
+
+
+_recording = _Recording()
+
+
+def launch(kernel, *arguments) -> None:
+    """Launch a kernel, or note the launch down while this thread records."""
+    step = partial(_launch, kernel, arguments)
+    if _recording.steps is None:
+        step()
+    else:
+        _recording.steps.append(step)
+
+
+def _launch(kernel, arguments) -> None:
+    """Launch; kernels take whole arrays only, so that a part of one is copied, and back."""
+    with LOCK:
+        copies = {id(argument): read(argument) for argument in arguments if is_part(argument)}
+        kernel(*(copies.get(id(argument), argument) for argument in arguments))
+        for argument in arguments:
+            if id(argument) in copies:
+                write(argument, copies[id(argument)])
+
+
+def record(run: Callable[[], None]) -> Callable[[], None]:
+    """Note down what ``run`` launches, launching nothing; the result launches it all."""
+    steps: list[Callable[[], Any]] = []
+    _recording.steps = steps
+    try:
+        run()
+    finally:
+        _recording.steps = None
+
+    def replay() -> None:
+        for step in steps:
+            step()
+
+    return replay
+
+
+def compile_kernel(kernel) -> None:
+    """Compile a kernel, or load it from Taichi's cache, by launching it on empty arrays."""
+    launch(
+        kernel,
+        *(_nothing(parameter.annotation) for parameter in inspect.signature(kernel).parameters.values()),
+    )
+
+
+def _nothing(annotation):
+    if not hasattr(annotation, "ndim"):
+        return 1  # what kernels divide by is among them
+    (dtype,) = (ours for ours, theirs in DTYPES.items() if theirs == annotation.dtype)
+    return np.empty((0,) * annotation.ndim, dtype)

@@ -1,0 +1,203 @@
+"""Displacement between two images, by correlation; the formulas are in ``warp_backend/motion.py``."""
+
+from functools import cache
+
+from evqr_kernels.taichi_backend.language import array, float_of, is_alone, ti
+from evqr_kernels.taichi_backend.launches import launch
+
+BLOCK = 16
+"""Neighbouring shifts done together."""
+
+
+@ti.func
+def clamp(value, low, high):
+    """Bring a value into a range."""
+    return ti.min(ti.max(value, low), high)
+
+
+@cache
+def make_clip_rows(dtype):
+    """Build the clipping; one thread per row of each image."""
+
+    @ti.kernel
+    def clip_rows(clip: dtype, images_inout: array(dtype, 4), energy_rows_out: array(dtype, 3)):
+        for b, i, y in ti.ndrange(images_inout.shape[0], 2, images_inout.shape[2]):
+            energy = dtype(0.0)
+            for x in range(images_inout.shape[3]):
+                value = images_inout[b, i, y, x]
+                if ti.abs(value) > clip:
+                    value = clamp(value, -clip, clip)
+                    images_inout[b, i, y, x] = value
+                energy += value * value
+            energy_rows_out[b, y, i] = energy
+
+    return clip_rows
+
+
+@cache
+def make_correlate_rows(dtype):
+    """Build the correlation; one thread per row."""
+
+    @ti.kernel
+    def correlate_rows(
+        images: array(dtype, 4),
+        radius: ti.i32,
+        found_out: array(ti.i32, 3),
+        rows_out: array(dtype, 4),
+    ):
+        for b, y in ti.ndrange(images.shape[0], images.shape[2]):
+            height = images.shape[2]
+            width = images.shape[3]
+            shifts = 2 * radius + 1
+            columns = rows_out.shape[3]
+            # of the pixels from which no block of shifts hangs out of the image, find those that are not 0;
+            # then do one row of shifts after the other, whose sums stay in registers
+            first = ti.min(radius, width)
+            last = ti.max(first, width - columns + radius + 1)
+            count = 0
+            for x in range(first, last):
+                if images[b, 0, y, x] != dtype(0.0):
+                    found_out[b, y, count] = x
+                    count += 1
+            for j in range(shifts):
+                other = clamp(y - radius + j, 0, height - 1)
+                inside = ti.select(other == y - radius + j, count, 0)
+                for k in range(columns // BLOCK):
+                    total = ti.Vector.zero(dtype, BLOCK)
+                    for n in range(inside):
+                        x = found_out[b, y, n]
+                        value = images[b, 0, y, x]
+                        for p in ti.static(range(BLOCK)):
+                            total[p] += value * images[b, 1, other, x - radius + BLOCK * k + p]
+                    for p in ti.static(range(BLOCK)):
+                        rows_out[b, y, j, BLOCK * k + p] = total[p]
+            for k in range(width - (last - first)):  # the others
+                x = ti.select(k < first, k, last + k - first)
+                value = images[b, 0, y, x]
+                if value != dtype(0.0):
+                    for j in range(ti.max(0, radius - y), ti.min(shifts, height + radius - y)):
+                        # in blocks too: Mesa's Vulkan on a CPU ends a thread's loops after 65535 rounds
+                        for i in range(columns // BLOCK):
+                            for p in ti.static(range(BLOCK)):
+                                shift = BLOCK * i + p
+                                at = x - radius + shift
+                                if shift < shifts and at >= 0 and at < width:
+                                    product = value * images[b, 1, y + j - radius, at]
+                                    rows_out[b, y, j, shift] = rows_out[b, y, j, shift] + product
+
+    return correlate_rows
+
+
+@cache
+def make_add_rows(dtype):
+    """Build the sum over rows; one thread per row of shifts."""
+
+    @ti.kernel
+    def add_rows(
+        rows: array(dtype, 4),
+        energy_rows: array(dtype, 3),
+        correlation_out: array(dtype, 3),
+        energy_out: array(dtype, 2),
+    ):
+        for b, j in ti.ndrange(correlation_out.shape[0], correlation_out.shape[1]):
+            for i in range(correlation_out.shape[2]):
+                total = dtype(0.0)
+                for y in range(rows.shape[1]):
+                    total += rows[b, y, j, i]
+                correlation_out[b, j, i] = total
+            if j == 0:
+                for image in range(2):
+                    energy = dtype(0.0)
+                    for y in range(energy_rows.shape[1]):
+                        energy += energy_rows[b, y, image]
+                    energy_out[b, image] = energy
+
+    return add_rows
+
+
+def motion_correlation(
+    images_inout, clip: float, radius: int, found_out, rows_out, energy_rows_out, correlation_out, energy_out
+) -> None:
+    """Launch the three passes; clips the images in place, overwrites the rest."""
+    dtype = float_of(images_inout)
+    launch(make_clip_rows(dtype), clip, images_inout, energy_rows_out)
+    launch(make_correlate_rows(dtype), images_inout, radius, found_out, rows_out)
+    launch(make_add_rows(dtype), rows_out, energy_rows_out, correlation_out, energy_out)
+
+
+@cache
+def make_surface_peak(dtype, alone: bool):
+    """Build the search for the peak; one thread per surface, a few thousand multiply-adds."""
+
+    @ti.kernel
+    def surface_peak(
+        surface: array(dtype, 3),
+        smoother: array(dtype, 2),
+        rows_out: array(dtype, 3),
+        smooth_out: array(dtype, 3),
+        peak_out: array(dtype, 2),
+    ):
+        ti.loop_config(serialize=alone)
+        for b in range(surface.shape[0]):
+            size = surface.shape[1]
+            for j in range(size):
+                for i in range(size):
+                    total = dtype(0.0)
+                    for k in range(size):
+                        total += smoother[j, k] * surface[b, k, i]
+                    rows_out[b, j, i] = total
+            for j in range(size):
+                for i in range(size):
+                    total = dtype(0.0)
+                    for k in range(size):
+                        total += rows_out[b, j, k] * smoother[i, k]
+                    smooth_out[b, j, i] = total
+            row = 1
+            column = 1
+            for j in range(1, size - 1):
+                for i in range(1, size - 1):
+                    if smooth_out[b, j, i] > smooth_out[b, row, column]:
+                        row = j
+                        column = i
+
+            # c0 + cx x + cy y + cxx x^2 + cxy x y + cyy y^2 by least squares; its sums over the 3 x 3 are
+            # these
+            sx = dtype(0.0)
+            sy = dtype(0.0)
+            sxx = dtype(0.0)
+            sxy = dtype(0.0)
+            syy = dtype(0.0)
+            total = dtype(0.0)
+            for j in range(3):
+                for i in range(3):
+                    v = smooth_out[b, row + j - 1, column + i - 1]
+                    x = dtype(i - 1)
+                    y = dtype(j - 1)
+                    total += v
+                    sx += x * v
+                    sy += y * v
+                    sxx += x * x * v
+                    sxy += x * y * v
+                    syy += y * y * v
+            cx = sx / dtype(6.0)
+            cy = sy / dtype(6.0)
+            two_cxx = sxx - total * dtype(2.0) / dtype(3.0)
+            two_cyy = syy - total * dtype(2.0) / dtype(3.0)
+            cxy = sxy / dtype(4.0)
+            determinant = two_cxx * two_cyy - cxy * cxy
+            x_off = dtype(0.0)
+            y_off = dtype(0.0)
+            if two_cxx < dtype(0.0) and determinant > dtype(0.0):
+                x_off = clamp(-(two_cyy * cx - cxy * cy) / determinant, dtype(-1.0), dtype(1.0))
+                y_off = clamp(-(two_cxx * cy - cxy * cx) / determinant, dtype(-1.0), dtype(1.0))
+            peak_out[b, 0] = dtype(column - size // 2) + x_off
+            peak_out[b, 1] = dtype(row - size // 2) + y_off
+            peak_out[b, 2] = smooth_out[b, row, column]
+
+    return surface_peak
+
+
+def surface_peak(surface, smoother, rows_out, smooth_out, peak_out) -> None:
+    """Launch; overwrites."""
+    kernel = make_surface_peak(float_of(surface), is_alone(surface))
+    launch(kernel, surface, smoother, rows_out, smooth_out, peak_out)

@@ -1,0 +1,185 @@
+"""Adjoint of ``render_code`` in the grid and in the map; see ``warp_backend/render_adjoint.py``.
+
+Each node gathers from the pixels that can see it, on every device.
+"""
+
+from functools import cache
+
+from evqr_kernels.taichi_backend.language import array, float_of, ti
+from evqr_kernels.taichi_backend.launches import launch
+from evqr_kernels.taichi_backend.render import (
+    make_edge,
+    make_look,
+    make_near,
+    make_profile,
+    node,
+    reach_of,
+    taps_of,
+)
+from evqr_kernels.taichi_backend.sums import add_partials
+
+
+@cache
+def make_adjoint_of_rows(dtype, parameters: int, taps: int):
+    """Build the adjoint in the map; one thread per row of pixels."""
+    look = make_look(dtype, parameters)
+    near = make_near(dtype)
+    profile = make_profile(dtype, taps)
+
+    @ti.kernel
+    def adjoint_of_rows(
+        grid: array(dtype, 3),
+        to_grid: array(dtype, 2),
+        outside: array(dtype, 1),
+        sigma: dtype,
+        reach: dtype,
+        adj_image: array(dtype, 3),
+        rows_out: array(dtype, 3),
+    ):
+        for b, y in ti.ndrange(adj_image.shape[0], adj_image.shape[1]):
+            # sums of (adj image_du, adj image_dv, adj (image_du u + image_dv v)) / d, plain and times x
+            at_0 = ti.Vector.zero(dtype, 3)
+            at_x = ti.Vector.zero(dtype, 3)
+            for x in range(adj_image.shape[2]):
+                u, v, inverse_depth = look(to_grid, b, dtype(x), dtype(y))
+                if near(u, v, inverse_depth, reach, grid.shape[1], grid.shape[2]):
+                    i, share_u, slope_u = profile(u, sigma)
+                    j, share_v, slope_v = profile(v, sigma)
+                    adj_u = dtype(0.0)
+                    adj_v = dtype(0.0)
+                    for k in range(taps):
+                        along = dtype(0.0)
+                        along_slope = dtype(0.0)
+                        for m in range(taps):
+                            q = node(grid, outside, b, j + k, i + m)
+                            along += share_u[m] * q
+                            along_slope += slope_u[m] * q
+                        adj_u += share_v[k] * along_slope
+                        adj_v += slope_v[k] * along
+                    adj = adj_image[b, y, x] * inverse_depth
+                    here = ti.Vector([adj * adj_u, adj * adj_v, adj * (adj_u * u + adj_v * v)])
+                    at_0 += here
+                    at_x += dtype(x) * here
+            rows_out[b, y, 0] = at_x[0]
+            rows_out[b, y, 1] = at_0[0] * dtype(y)
+            rows_out[b, y, 2] = at_0[0]
+            rows_out[b, y, 3] = at_x[1]
+            rows_out[b, y, 4] = at_0[1] * dtype(y)
+            rows_out[b, y, 5] = at_0[1]
+            if ti.static(parameters == 8):
+                rows_out[b, y, 6] = -at_x[2]
+                rows_out[b, y, 7] = -at_0[2] * dtype(y)
+
+    return adjoint_of_rows
+
+
+@cache
+def make_share(dtype, taps: int):
+    """Build the profile b of one module."""
+    edge = make_edge(dtype)
+
+    @ti.func
+    def hat(s, sigma):
+        return ti.max(dtype(1.0) - ti.abs(s), dtype(0.0))
+
+    @ti.func
+    def blurred_box(s, sigma):
+        before, _slope = edge((s + dtype(0.5)) / sigma)
+        after, _other = edge((s - dtype(0.5)) / sigma)
+        return before - after
+
+    return hat if taps == 2 else blurred_box
+
+
+@cache
+def make_pixels_around(dtype, parameters: int):
+    """Build the function that gives the pixels that may look at a square of the grid.
+
+    The square of half side ``reach`` around (u, v): first column and row, last column and row.  All of the
+    image where a corner of the square is not in front of the map, or the map cannot be inverted.
+    """
+
+    @ti.func
+    def pixels_around(w: ti.template(), b, u, v, reach, height, width):
+        w6 = dtype(0.0)
+        w7 = dtype(0.0)
+        if ti.static(parameters == 8):
+            w6 = w[b, 6]
+            w7 = w[b, 7]
+        w0, w1, w2, w3, w4, w5 = w[b, 0], w[b, 1], w[b, 2], w[b, 3], w[b, 4], w[b, 5]
+        # rows of the adjugate of the map's matrix: its inverse, up to the determinant
+        determinant = w0 * (w4 - w5 * w7) - w1 * (w3 - w5 * w6) + w2 * (w3 * w7 - w4 * w6)
+        left = dtype(width)
+        right = dtype(-1.0)
+        top = dtype(height)
+        bottom = dtype(-1.0)
+        in_front = 0
+        for corner in ti.static(range(4)):
+            s = u + (reach if corner % 2 else -reach)
+            r = v + (-reach if corner < 2 else reach)
+            x = (w4 - w5 * w7) * s + (w2 * w7 - w1) * r + w1 * w5 - w2 * w4
+            y = (w5 * w6 - w3) * s + (w0 - w2 * w6) * r + w2 * w3 - w0 * w5
+            depth = (w3 * w7 - w4 * w6) * s + (w1 * w6 - w0 * w7) * r + w0 * w4 - w1 * w3
+            # written so that it is false for NaN
+            if depth * determinant > dtype(0.0):
+                in_front += 1
+                left = ti.min(left, x / depth)
+                right = ti.max(right, x / depth)
+                top = ti.min(top, y / depth)
+                bottom = ti.max(bottom, y / depth)
+        around = ti.Vector([0, 0, width - 1, height - 1])
+        if in_front == 4:
+            # a pixel more on each side for what rounding does
+            around[0] = int(ti.max(ti.floor(left) - dtype(1.0), dtype(0.0)))
+            around[1] = int(ti.max(ti.floor(top) - dtype(1.0), dtype(0.0)))
+            around[2] = int(ti.min(ti.ceil(right) + dtype(1.0), dtype(width - 1)))
+            around[3] = int(ti.min(ti.ceil(bottom) + dtype(1.0), dtype(height - 1)))
+        return around
+
+    return pixels_around
+
+
+@cache
+def make_adjoint_of_nodes(dtype, parameters: int, taps: int):
+    """Build the adjoint in the grid; one thread per node, which visits the pixels that can see it."""
+    look = make_look(dtype, parameters)
+    share = make_share(dtype, taps)
+    pixels_around = make_pixels_around(dtype, parameters)
+
+    @ti.kernel
+    def adjoint_of_nodes(
+        to_grid: array(dtype, 2),
+        sigma: dtype,
+        reach: dtype,
+        adj_image: array(dtype, 3),
+        adj_grid_out: array(dtype, 3),
+    ):
+        for b, j, i in ti.ndrange(adj_grid_out.shape[0], adj_grid_out.shape[1], adj_grid_out.shape[2]):
+            around = pixels_around(
+                to_grid, b, dtype(i), dtype(j), reach, adj_image.shape[1], adj_image.shape[2]
+            )
+            total = dtype(0.0)
+            for y in range(around[1], around[3] + 1):
+                along = dtype(0.0)
+                for x in range(around[0], around[2] + 1):
+                    u, v, inverse_depth = look(to_grid, b, dtype(x), dtype(y))
+                    du = u - dtype(i)
+                    dv = v - dtype(j)
+                    if inverse_depth > dtype(0.0) and ti.abs(du) < reach and ti.abs(dv) < reach:
+                        along += adj_image[b, y, x] * share(du, sigma) * share(dv, sigma)
+                total += along
+            adj_grid_out[b, j, i] = total
+
+    return adjoint_of_nodes
+
+
+def render_code_adjoint(
+    grid, to_grid, outside, sigma: float, adj_image, rows_out, adj_grid_out, adj_to_grid_out
+) -> None:
+    """Launch; overwrites."""
+    dtype, parameters, taps = float_of(grid), to_grid.shape[1], taps_of(sigma)
+    rows = make_adjoint_of_rows(dtype, parameters, taps)
+    launch(rows, grid, to_grid, outside, sigma, reach_of(sigma), adj_image, rows_out)
+    add_partials(rows_out, adj_to_grid_out)
+    nodes = make_adjoint_of_nodes(dtype, parameters, taps)
+    launch(nodes, to_grid, sigma, reach_of(sigma), adj_image, adj_grid_out)

@@ -1,0 +1,97 @@
+"""Residual of the brightness change along a motion; the formulas are in ``warp_backend/residual.py``."""
+
+from functools import cache
+
+from evqr_kernels.taichi_backend.language import array, float_of, ti
+from evqr_kernels.taichi_backend.launches import launch
+from evqr_kernels.taichi_backend.sums import add_partials
+
+
+@cache
+def make_slopes(dtype):
+    """Build the central differences at one pixel."""
+
+    @ti.func
+    def slopes(image: ti.template(), b, y, x):
+        right = image[b, y, ti.min(x + 1, image.shape[2] - 1)]
+        left = image[b, y, ti.max(x - 1, 0)]
+        below = image[b, ti.min(y + 1, image.shape[1] - 1), x]
+        above = image[b, ti.max(y - 1, 0), x]
+        return dtype(0.5) * (right - left), dtype(0.5) * (below - above)
+
+    return slopes
+
+
+@cache
+def make_brightness_residual(dtype):
+    """Build the forward kernel; one thread per row."""
+    slopes = make_slopes(dtype)
+
+    @ti.kernel
+    def brightness_residual(
+        luminance: array(dtype, 3),
+        events_image: array(dtype, 3),
+        motion: array(dtype, 2),
+        residual_out: array(dtype, 3),
+    ):
+        for b, y in ti.ndrange(luminance.shape[0], luminance.shape[1]):
+            for x in range(luminance.shape[2]):
+                dx, dy = slopes(luminance, b, y, x)
+                residual_out[b, y, x] = motion[b, 0] * dx + motion[b, 1] * dy + events_image[b, y, x]
+
+    return brightness_residual
+
+
+def brightness_residual(luminance, events_image, motion, residual_out) -> None:
+    """Launch; overwrites."""
+    kernel = make_brightness_residual(float_of(luminance))
+    launch(kernel, luminance, events_image, motion, residual_out)
+
+
+@ti.func
+def beyond(adj: ti.template(), b, y, x):
+    """Look a pixel up; beyond the border lies minus the border's own."""
+    row = ti.min(ti.max(y, 0), adj.shape[1] - 1)
+    column = ti.min(ti.max(x, 0), adj.shape[2] - 1)
+    value = adj[b, row, column]
+    if row != y or column != x:
+        value = -value
+    return value
+
+
+@cache
+def make_brightness_residual_adjoint(dtype):
+    """Build the adjoint kernel; one thread per row."""
+    slopes = make_slopes(dtype)
+
+    @ti.kernel
+    def brightness_residual_adjoint(
+        luminance: array(dtype, 3),
+        motion: array(dtype, 2),
+        adj_residual: array(dtype, 3),
+        rows_out: array(dtype, 3),
+        adj_luminance_out: array(dtype, 3),
+    ):
+        for b, y in ti.ndrange(luminance.shape[0], luminance.shape[1]):
+            adj_x = dtype(0.0)
+            adj_y = dtype(0.0)
+            for x in range(luminance.shape[2]):
+                dx, dy = slopes(luminance, b, y, x)
+                adj_x += adj_residual[b, y, x] * dx
+                adj_y += adj_residual[b, y, x] * dy
+                along_x = beyond(adj_residual, b, y, x - 1) - beyond(adj_residual, b, y, x + 1)
+                along_y = beyond(adj_residual, b, y - 1, x) - beyond(adj_residual, b, y + 1, x)
+                adj_luminance_out[b, y, x] = dtype(0.5) * (motion[b, 0] * along_x + motion[b, 1] * along_y)
+            rows_out[b, y, 0] = adj_x
+            rows_out[b, y, 1] = adj_y
+
+    return brightness_residual_adjoint
+
+
+def brightness_residual_adjoint(
+    luminance, motion, adj_residual, rows_out, adj_luminance_out, adj_motion_out
+) -> None:
+    """Launch both passes; overwrites."""
+    kernel = make_brightness_residual_adjoint(float_of(luminance))
+    launch(kernel, luminance, motion, adj_residual, rows_out, adj_luminance_out)
+    add_partials(rows_out, adj_motion_out)

@@ -1,0 +1,190 @@
+"""Events to images; the formulas are in ``warp_backend/splat.py``."""
+
+from functools import cache
+
+from evqr_kernels.config import SplatConfig
+from evqr_kernels.taichi_backend.language import array, float_of, is_on_cpu, ti
+from evqr_kernels.taichi_backend.launches import launch
+from evqr_kernels.taichi_backend.transcendental import make_exp
+from evqr_kernels.taichi_backend.transport import make_middle, make_transport, make_velocity
+
+CHUNK = 64
+"""Events that one thread of a GPU takes one after another: what belongs to the window is looked up once."""
+
+
+@cache
+def make_add(shared: bool):
+    """Build the addition to an element that other threads may add to at the same time, if it is shared."""
+
+    @ti.func
+    def add(image: ti.template(), index, value):
+        if ti.static(shared):
+            image[index] += value  # atomic
+        else:
+            image[index] = image[index] + value
+
+    return add
+
+
+def events_a_thread(x) -> int:
+    """Choose how many events of a window a thread takes: on the CPU all, so that the window has one owner."""
+    return max(x.shape[0], 1) if is_on_cpu(x) else CHUNK
+
+
+def owners(x, window_ptr) -> tuple[bool, bool]:
+    """Tell whether windows have several threads each, and whether there is one thread in all."""
+    on_cpu = is_on_cpu(x)
+    return not on_cpu, on_cpu and window_ptr.shape[0] == 2
+
+
+@cache
+def make_bin_events(dtype, shared: bool, alone: bool):
+    """Build the binning kernel; one thread per (window, chunk of the longest window)."""
+    add = make_add(shared)
+
+    @ti.kernel
+    def bin_events(
+        x: array(dtype, 1),
+        y: array(dtype, 1),
+        weight: array(dtype, 1),
+        window_ptr: array(ti.i32, 1),
+        inverse_reduction: dtype,
+        chunk: ti.i32,
+        image_out: array(dtype, 3),
+    ):
+        ti.loop_config(serialize=alone)
+        for b, k in ti.ndrange(image_out.shape[0], (x.shape[0] + chunk - 1) // chunk):
+            right = dtype(image_out.shape[2])
+            bottom = dtype(image_out.shape[1])
+            first = window_ptr[b] + k * chunk
+            for e in range(first, ti.min(first + chunk, window_ptr[b + 1])):
+                column = (x[e] + dtype(0.5)) * inverse_reduction
+                row = (y[e] + dtype(0.5)) * inverse_reduction
+                # written so that it is false for NaN
+                if column >= dtype(0.0) and row >= dtype(0.0) and column < right and row < bottom:
+                    add(image_out, ti.Vector([b, int(row), int(column)]), weight[e])
+
+    return bin_events
+
+
+def bin_events(x, y, weight, window_ptr, reduction: float, image_out) -> None:
+    """Launch; accumulates.  Float atomics on GPUs: sums repeat to a tolerance there, not bit for bit."""
+    kernel = make_bin_events(float_of(x), *owners(x, window_ptr))
+    launch(kernel, x, y, weight, window_ptr, 1.0 / reduction, events_a_thread(x), image_out)
+
+
+@cache
+def make_splat_taps(dtype, cfg: SplatConfig):
+    """Build the function that gives the Gaussian, g and g' at the taps around an event.
+
+    The event is ``offset`` px off the middle one.
+    """
+    reach = cfg.reach
+    taps = 2 * reach + 1
+    gauss_at_taps = [cfg.norm * cfg.gauss(k) for k in range(-reach, reach + 1)]
+    inverse_variance = 1.0 / cfg.epsilon_px**2
+    inverse_radius_sq = 1.0 / cfg.radius_px**2
+    exp = make_exp(dtype)
+
+    @ti.func
+    def splat_taps(offset):
+        # exp(-(k - f)^2 / 2 eps^2) = exp(-f^2 / 2 eps^2) exp(f / eps^2)^k exp(-k^2 / 2 eps^2): two exps, not
+        # one a tap
+        gauss = ti.Vector.zero(dtype, taps)
+        value = ti.Vector.zero(dtype, taps)
+        slope = ti.Vector.zero(dtype, taps)
+        up = exp(offset * dtype(inverse_variance))
+        down = dtype(1.0) / up
+        right = exp(dtype(-0.5) * offset * offset * dtype(inverse_variance))
+        left = right
+        for k in ti.static(range(reach + 1)):
+            gauss[reach + k] = right * dtype(gauss_at_taps[reach + k])
+            gauss[reach - k] = left * dtype(gauss_at_taps[reach - k])
+            right *= up
+            left *= down
+        for k in ti.static(range(taps)):
+            r = dtype(float(k - reach)) - offset
+            q = ti.max(dtype(1.0) - r * r * dtype(inverse_radius_sq), dtype(0.0))
+            rate = q * dtype(inverse_variance) + dtype(4.0 * inverse_radius_sq)
+            value[k] = gauss[k] * q * q
+            slope[k] = -r * gauss[k] * q * rate
+        return gauss, value, slope
+
+    return splat_taps
+
+
+@cache
+def make_splat_events(dtype, cfg: SplatConfig, parameters: int, shared: bool, alone: bool):
+    """Build the kernel for a precision, a splat and a motion; one thread per (window, chunk)."""
+    add = make_add(shared)
+    reach = cfg.reach
+    taps = 2 * reach + 1
+    margin = float(taps)
+    splat_taps = make_splat_taps(dtype, cfg)
+    transport = make_transport(dtype)
+    middle = make_middle(dtype)
+    velocity = make_velocity(parameters)
+
+    @ti.kernel
+    def splat_events(
+        x: array(dtype, 1),
+        y: array(dtype, 1),
+        t: array(dtype, 1),
+        weight: array(dtype, 1),
+        window_ptr: array(ti.i32, 1),
+        motion: array(dtype, 2),
+        lag: array(dtype, 2),
+        frame: array(dtype, 2),
+        chunk: ti.i32,
+        image_out: array(dtype, 3),
+    ):
+        ti.loop_config(serialize=alone)
+        for b, k in ti.ndrange(image_out.shape[0], (x.shape[0] + chunk - 1) // chunk):
+            scale = frame[b, 2]
+            inverse_scale = dtype(1.0) / scale
+            origin_x = frame[b, 0]
+            origin_y = frame[b, 1]
+            lag_on = lag[b, 0]
+            lag_off = lag[b, 1]
+            height = image_out.shape[1]
+            width = image_out.shape[2]
+            middle_x = middle(origin_x, scale, width)
+            middle_y = middle(origin_y, scale, height)
+            first = window_ptr[b] + k * chunk
+            for e in range(first, ti.min(first + chunk, window_ptr[b + 1])):
+                motion_x, motion_y = velocity(motion, b, x[e] - middle_x, y[e] - middle_y)
+                cx = transport(x[e], t[e], motion_x, origin_x, inverse_scale)
+                cy = transport(y[e], t[e], motion_y, origin_y, inverse_scale)
+                # written so that it is false for NaN
+                if (
+                    cx > dtype(-margin)
+                    and cy > dtype(-margin)
+                    and cx < dtype(width) + dtype(margin)
+                    and cy < dtype(height) + dtype(margin)
+                ):
+                    column = int(ti.floor(cx + dtype(0.5)))
+                    row = int(ti.floor(cy + dtype(0.5)))
+                    w = weight[e]
+                    lag_px = ti.select(w < dtype(0.0), lag_off, lag_on)
+                    speed = ti.sqrt(motion_x * motion_x + motion_y * motion_y)
+                    if speed > dtype(0.0):
+                        lag_px /= speed
+                    _gauss_x, gx, sx = splat_taps(cx - dtype(column))
+                    _gauss_y, gy, sy = splat_taps(cy - dtype(row))
+                    along = w * (gx - (lag_px * motion_x) * sx)
+                    across = (-w * lag_px * motion_y) * gx
+                    for j in range(ti.max(row - reach, 0), ti.min(row + reach + 1, height)):
+                        g = gy[j - row + reach]
+                        s = sy[j - row + reach]
+                        for i in ti.static(range(taps)):
+                            at = column + i - reach
+                            if at >= 0 and at < width:
+                                add(image_out, ti.Vector([b, j, at]), g * along[i] + s * across[i])
+
+    return splat_events
+
+
+def splat_events(x, y, t, weight, window_ptr, motion, lag, frame, image_out, cfg: SplatConfig) -> None:
+    """Launch; accumulates.  Float atomics on GPUs: sums repeat to a tolerance there, not bit for bit."""
+    kernel = make_splat_events(float_of(x), cfg, motion.shape[1], *owners(x, window_ptr))
+    launch(kernel, x, y, t, weight, window_ptr, motion, lag, frame, events_a_thread(x), image_out)
