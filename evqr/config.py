@@ -118,7 +118,7 @@ class StageOneConfig:
     closer_looks       candidates of the coarse look that are refined
     shift_gain         score that a one-module shift must gain to be taken
     min_score          correlation with the known modules below which there is no code, 0 to 1
-    clear_score        coarse correlation with which the best triple ends the screening: wrong ones reach 0.56
+    clear_score        coarse correlation with which the best triple ends the screening: wrong ones reach 0.66
     good_score         correlation that ends the search for a better candidate: one module off scores 0.56 to
                        0.67
     sharp_score        correlation above which pixels do not lag enough to look for it
@@ -135,7 +135,7 @@ class StageOneConfig:
     closer_looks: int = 3
     shift_gain: float = 0.02
     min_score: float = 0.5
-    clear_score: float = 0.65
+    clear_score: float = 0.75
     good_score: float = 0.8
     sharp_score: float = 0.96
 
