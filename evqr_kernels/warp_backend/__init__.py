@@ -29,6 +29,7 @@ from evqr_kernels.warp_backend import (
     pose_normal,
     render,
     render_adjoint,
+    replay,
     residual,
     solve,
     splat,
@@ -181,6 +182,7 @@ def _modules(kernels: KernelSet, device: str) -> list[wp.Module]:
         code.make_sample_rows(f32),
         code.make_fold_columns(f32, code.BLOCK),
         *solve.make_kernels(f32, on_cpu=device == "cpu"),
+        *([replay.run_sequence] if device == "cpu" else []),
     ]
     return list(dict.fromkeys(kernel.module for kernel in made))
 

@@ -7,11 +7,13 @@ from typing import Any
 
 import warp as wp
 
+from evqr_kernels.warp_backend.replay import Step, replayer
+
 
 class _Recording(threading.local):
     """What this thread records instead of launching; None while it does not."""
 
-    steps: list[Callable[[], Any]] | None = None
+    steps: list[Step] | None = None
 
 
 _recording = _Recording()
@@ -24,7 +26,7 @@ def launch(kernel: wp.Kernel, dim: Any, *, inputs: list[Any], outputs: list[Any]
         return
     command = wp.launch(kernel, dim, inputs=inputs, outputs=outputs, device=device, record_cmd=True)
     command.arrays = (inputs, outputs)  # a command has their addresses only
-    _recording.steps.append(command.launch)
+    _recording.steps.append(command)
 
 
 def clear(array: wp.array) -> None:
@@ -32,28 +34,22 @@ def clear(array: wp.array) -> None:
     if _recording.steps is None:
         array.zero_()
     else:
-        _recording.steps.append(array.zero_)
+        _recording.steps.append(array)
 
 
-def record(run: Callable[[], None]) -> Callable[[], None]:
+def record(run: Callable[[], None]) -> Callable[[], Any]:
     """Note down what ``run`` launches, launching nothing; the result launches it, as often as it is called.
 
     A launch has its arguments checked and packed: a fifth of a millisecond for twenty kernels, which a
-    recorded sequence pays once.  (Warp's own graphs on the CPU are replayed yet faster, but while one thread
-    captures one, the launches of all other threads are taken for part of it.)
+    recorded sequence pays once.
     """
-    steps: list[Callable[[], Any]] = []
+    steps: list[Step] = []
     _recording.steps = steps
     try:
         run()
     finally:
         _recording.steps = None
-
-    def replay() -> None:
-        for step in steps:
-            step()
-
-    return replay
+    return replayer(steps)
 
 
 CPU_FLAGS = ("-ffp-contract=fast", "-mreassociate", "-fno-signed-zeros")
