@@ -133,11 +133,14 @@ def make_reduce_image(dtype: type) -> wp.Kernel:
             end = wp.min(int(wp.ceil(right)), fine_width)
             total = dtype(0.0)
             if start < end:
-                # all of each pixel, less what of the first and of the last lies outside
-                total = (dtype(start) - left) * rows_out[b, y, start]
-                total -= wp.max(dtype(end) - right, dtype(0.0)) * rows_out[b, y, end - 1]
-                for i in range(start, end):
-                    total += rows_out[b, y, i]
+                # without a loop up to a ratio of 2: how often it would run changes from pixel to pixel
+                total = wp.min(ratio, dtype(start + 1) - left) * rows_out[b, y, start]
+                for k in range(1, 3):
+                    covered = wp.clamp(right - dtype(start + k), dtype(0.0), one)
+                    at = wp.min(start + k, fine_width - 1)
+                    total += wp.where(start + k < end, covered, dtype(0.0)) * rows_out[b, y, at]
+                for i in range(start + 3, end):
+                    total += wp.min(right - dtype(i), one) * rows_out[b, y, i]
             image_out[b, y, x] = total
 
     return reduce_image

@@ -19,15 +19,19 @@ from functools import cache
 
 import warp as wp
 
-from evqr_kernels.warp_backend.language import launch, module_of
+from evqr_kernels.warp_backend.language import launch, module_of, neighbours, vector
 
 PEAK = 5
 """Entries of a peak."""
+
+BLOCK = 8
+"""Neighbouring entries that are passed over together where all of them are 0, as most are."""
 
 
 @cache
 def make_local_maxima(dtype: type) -> wp.Kernel:
     """Build the search on one level; launch: one thread per row."""
+    vec_block = vector(BLOCK, dtype)
 
     @wp.func
     def vertex(before: dtype, here: dtype, after: dtype):
@@ -37,6 +41,7 @@ def make_local_maxima(dtype: type) -> wp.Kernel:
     @wp.kernel(module=module_of("peaks", dtype))
     def local_maxima(
         response: wp.array3d(dtype=dtype),
+        blocks: wp.array3d(dtype=vec_block),
         angle: wp.array3d(dtype=wp.int32),
         least: dtype,
         cell: dtype,
@@ -52,8 +57,15 @@ def make_local_maxima(dtype: type) -> wp.Kernel:
         if y == 0 or y == response.shape[1] - 1:
             return
         count = wp.int32(0)
-        for x in range(1, response.shape[2] - 1):
+        width = response.shape[2]
+        x = wp.int32(1)
+        while x < width - 1:
             here = wp.abs(response[b, y, x])
+            if here == dtype(0.0) and x + BLOCK <= width:
+                block = blocks[b, y, x]
+                if wp.dot(block, block) == dtype(0.0):
+                    x += BLOCK
+                    continue
             if here > least:
                 top = wp.int32(1)
                 for j in range(3):
@@ -87,6 +99,7 @@ def make_local_maxima(dtype: type) -> wp.Kernel:
                         maxima_out[b, y, count, 3] = size
                         maxima_out[b, y, count, 4] = dtype(angle[b, y, x]) * turn
                         count += 1
+            x += 1
 
     return local_maxima
 
@@ -96,7 +109,7 @@ def local_maxima(response, angle, least: float, cell: float, size: float, turn: 
     launch(
         make_local_maxima(response.dtype),
         response.shape[:2],
-        inputs=[response, angle, least, cell, size, turn],
+        inputs=[response, neighbours(response, BLOCK), angle, least, cell, size, turn],
         outputs=[maxima_out],
         device=response.device,
     )
