@@ -71,7 +71,8 @@ def log_tail(agreement: NDArray[np.floating]) -> float:
 
 def count_pads(data: NDArray[np.uint8]) -> int:
     """Return how many codewords at the end of a block's data are pads, 0xEC and 0x11 in turn."""
-    is_pad = np.isin(data, PAD_CODEWORDS)
+    first, second = PAD_CODEWORDS
+    is_pad = (data == first) | (data == second)
     is_pad[:-1] &= data[:-1] != data[1:]
     others = np.flatnonzero(~is_pad)
     return len(data) - 1 - int(others[-1]) if len(others) else len(data)

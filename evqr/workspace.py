@@ -24,6 +24,10 @@ FEWEST_EVENTS = 1 << 14
 """Room for events grows from this in powers of two, so that launches recorded for it are used again."""
 
 
+MOST_ROOM = 16
+"""A window may lie in room for so many times its events: threads without events cost little."""
+
+
 class Mirror:
     """A device array and its copy on the host: the same memory where the device is the CPU."""
 
@@ -56,25 +60,37 @@ class EventSlots:
     def __init__(self, workspace: Workspace, capacity: int) -> None:
         self.capacity = capacity
         self._mirrors = [workspace.mirror((capacity,)) for _ in range(4)]
-        self.x, self.y, self.t, self.p = (mirror.device for mirror in self._mirrors)
+        self.x, self.y, self.p, self.t = (mirror.device for mirror in self._mirrors)
         self._window: Window | None = None
+        self._timed: Window | None = None
 
-    @property
-    def times(self) -> NDArray[np.float32]:
-        """Times on the host, and behind those of the window what is left of earlier ones [s]."""
-        return self._mirrors[2].host
+    def holds(self, window: Window) -> bool:
+        """Whether the events of a window are there, alone or the first of more."""
+        held = self._window
+        if held is None or len(window) > len(held) or self.capacity > MOST_ROOM * max(len(window), 1):
+            return False
+        # whoever fills one array again and again gives it another beginning in time
+        same = window.start_us == held.start_us and _address(window.events.x) == _address(held.events.x)
+        return window is held or same
 
     def load(self, window: Window) -> None:
-        """Put the events of a window there, unless they are there already."""
-        if window is self._window:
-            return
-        count = len(window)
-        x, y, t, p = (mirror.host[:count] for mirror in self._mirrors)
-        x[:], y[:], p[:] = window.events.x, window.events.y, window.events.p
-        window.write_times(t)
-        for mirror in self._mirrors:
+        """Put the events of a window there."""
+        self._window, self._timed = window, None
+        columns = window.events.x, window.events.y, window.events.p
+        for mirror, values in zip(self._mirrors, columns, strict=False):
+            mirror.host[: len(window)] = values
             mirror.push()
-        self._window = window
+
+    def load_times(self, window: Window) -> None:
+        """Put the times of a window there, which are relative to its middle."""
+        if window is not self._timed:
+            window.write_times(self._mirrors[-1].host[: len(window)])
+            self._mirrors[-1].push()
+            self._timed = window
+
+
+def _address(array: NDArray[Any]) -> int:
+    return array.__array_interface__["data"][0]
 
 
 class Workspace:
@@ -113,13 +129,21 @@ class Workspace:
         """Give a constant table on the device, copied there when it is first asked for."""
         return self.once(key, lambda: self.put(array))
 
-    def events(self, window: Window) -> EventSlots:
-        """Give the events of a window on the device, until the next window of that size class."""
-        capacity = max(FEWEST_EVENTS, 1 << (len(window) - 1).bit_length())
-        if capacity not in self._slots:
-            self._slots[capacity] = EventSlots(self, capacity)
-        self._slots[capacity].load(window)
-        return self._slots[capacity]
+    def events(self, window: Window, times: bool = True) -> EventSlots:
+        """Give the events of a window on the device, until the next window of that size class.
+
+        Windows of one beginning share their events; without ``times`` those may be another window's.
+        """
+        slots = next((slots for slots in self._slots.values() if slots.holds(window)), None)
+        if slots is None:
+            capacity = max(FEWEST_EVENTS, 1 << (len(window) - 1).bit_length())
+            if capacity not in self._slots:
+                self._slots[capacity] = EventSlots(self, capacity)
+            slots = self._slots[capacity]
+            slots.load(window)
+        if times:
+            slots.load_times(window)
+        return slots
 
     def put(self, array: NDArray[Any]) -> Any:
         """Put an array on the device."""
