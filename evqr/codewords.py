@@ -88,13 +88,13 @@ def mask_signs(version: int) -> NDArray[np.int8]:
 
 
 @functools.cache
-def format_words(version: int) -> tuple[NDArray[np.int8], tuple[tuple[ErrorLevel, int], ...]]:
+def format_words(version: int) -> tuple[NDArray[np.float64], tuple[tuple[ErrorLevel, int], ...]]:
     """Return the 32 words of format information and what they mean.
 
     Returns
     -------
-    words : (32, 30) int8   -1 dark, +1 light, for the format modules in row order (both copies)
-    meaning                 level and mask of each word
+    words : (32, 30) float64   -1 dark, +1 light, for the format modules in row order (both copies)
+    meaning                    level and mask of each word
     """
     from segno import consts, encoder
 
@@ -107,7 +107,7 @@ def format_words(version: int) -> tuple[NDArray[np.int8], tuple[tuple[ErrorLevel
         matrix = [bytearray(space.size) for _ in range(space.size)]
         encoder.add_format_info(matrix, version, consts.ERROR_MAPPING[level], mask)
         words.append(np.where(np.array(matrix)[space.format], -1, 1))
-    return read_only(np.array(words, np.int8)), meaning
+    return read_only(np.array(words, np.float64)), meaning
 
 
 def symbol_of(codewords: NDArray[np.uint8], version: int, level: ErrorLevel, mask: int) -> NDArray[np.int8]:

@@ -273,7 +273,7 @@ def _decode_format(
         erasures=sum(b.erased for b in blocks),
         spare=min(b.spare for b in blocks),
         modules=modules.T if mirrored else modules,
-        agreement=float(np.mean(estimate * exact > 0.0)),
+        agreement=np.count_nonzero(estimate * exact > 0.0) / len(exact),
         correlation=float(estimate @ exact / math.sqrt(float(estimate @ estimate) * len(exact))),
         log10_chance=log_chance / math.log(10.0),
         confidence=1.0 / (1.0 + config.wrong_grids * math.exp(log_chance)),

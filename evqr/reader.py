@@ -234,7 +234,10 @@ def _affine(sighting: Sighting) -> NDArray[np.float64]:
     Perspective is linearised at the code's centre.
     """
     c = sighting.size / 2.0
-    x, y, z = sighting.pose @ (c, c, 1.0)
-    jacobian = (sighting.pose[:2, :2] - np.outer((x / z, y / z), sighting.pose[2, :2])) / z
-    linear = np.linalg.inv(jacobian)
-    return np.column_stack([linear, (c - 0.5) - linear @ (x / z, y / z)])
+    u, v, w = (sighting.pose @ (c, c, 1.0)).tolist()
+    x, y = u / w, v / w
+    (a, b, _), (d, e, _), (g, h, _) = sighting.pose.tolist()
+    per_u, per_v = ((a - x * g) / w, (d - y * g) / w), ((b - x * h) / w, (e - y * h) / w)
+    determinant = per_u[0] * per_v[1] - per_u[1] * per_v[0]
+    linear = np.array([[per_v[1], -per_v[0]], [-per_u[1], per_u[0]]]) / determinant
+    return np.column_stack([linear, (c - 0.5) - linear @ (x, y)])

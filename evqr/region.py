@@ -45,6 +45,12 @@ class Region:
         s = 1.0 / self.cell
         return np.array([[s, 0.0, -self.x * s - 0.5], [0.0, s, -self.y * s - 0.5], [0.0, 0.0, 1.0]])
 
+    @property
+    def to_px(self) -> NDArray[np.float64]:
+        """(3, 3) map of cells to px."""
+        s = self.cell
+        return np.array([[s, 0.0, self.x + 0.5 * s], [0.0, s, self.y + 0.5 * s], [0.0, 0.0, 1.0]])
+
 
 def outline(pose: NDArray[np.float64], size: int, margin: float = 0.0) -> NDArray[np.float64]:
     """Corners (4, 2) of a code of ``size`` modules in px: top-left, top-right, bottom-right, bottom-left."""
@@ -56,9 +62,10 @@ def outline(pose: NDArray[np.float64], size: int, margin: float = 0.0) -> NDArra
 def module_px(pose: NDArray[np.float64], size: int) -> float:
     """Size of a module at the centre of a code [px]."""
     c = size / 2.0
-    x, y, z = pose @ (c, c, 1.0)
-    jacobian = (pose[:2, :2] - np.outer((x / z, y / z), pose[2, :2])) / z
-    return math.sqrt(abs(float(np.linalg.det(jacobian))))
+    # the Jacobian's determinant is that of the homography over the cube of its denominator
+    (a, b, x), (d, e, y), (g, h, z) = pose.tolist()
+    determinant = a * (e * z - y * h) - b * (d * z - y * g) + x * (d * h - e * g)
+    return math.sqrt(abs(determinant / (c * (g + h) + z) ** 3))
 
 
 def region_around(

@@ -380,7 +380,7 @@ class Solver:
                 image, found.pose[0], found.gain[0], version, cfg.stage_one.sigma, cfg.stage_two,
                 workspace=self.workspace,
             )  # fmt: skip
-        pose = np.linalg.inv(region.from_px) @ found.pose[0]
+        pose = region.to_px @ found.pose[0]
         return Sighting(
             version=version,
             pose=pose / pose[2, 2],

@@ -45,8 +45,7 @@ class EventArray:
 
     def between(self, start_us: int, end_us: int) -> EventArray:
         """Events with ``start_us <= t < end_us``, as views."""
-        first, last = np.searchsorted(self.t, [start_us, end_us])
-        return self.cut(int(first), int(last))
+        return self.cut(int(self.t.searchsorted(start_us)), int(self.t.searchsorted(end_us)))
 
 
 class ReadStatus(str, Enum):

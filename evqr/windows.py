@@ -146,7 +146,7 @@ class EventBuffer:
         if not parts:
             parts = [held[-1].cut(0, 0)]
         if len(parts) == 1:
-            return make_window(parts[0], start_us, end_us)
+            return Window(parts[0], start_us, end_us)
         joined = EventArray(
             np.concatenate([part.t for part in parts]),
             np.concatenate([part.x for part in parts]),
@@ -155,4 +155,4 @@ class EventBuffer:
             parts[0].width,
             parts[0].height,
         )
-        return make_window(joined, start_us, end_us)
+        return Window(joined, start_us, end_us)

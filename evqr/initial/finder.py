@@ -83,7 +83,8 @@ class PyramidLevel:
     @cached_property
     def to_px(self) -> NDArray[np.float64]:
         """(3, 3) map of cells to px."""
-        return np.linalg.inv(self.from_px).astype(np.float64)
+        s, shift = self.cell, 0.5 * self.cell - 0.5
+        return np.array([[s, 0.0, shift], [0.0, s, shift], [0.0, 0.0, 1.0]])
 
 
 @dataclass(frozen=True, eq=False)
@@ -355,19 +356,16 @@ def find_hypotheses(
 
 def _versions(log_modules: float, tolerance: float) -> list[int]:
     """Versions whose finder patterns are so many modules apart, to a tolerance, best first."""
-    misfit = np.abs(_LOG_LEGS - log_modules)
-    fits = np.flatnonzero(misfit <= tolerance)
-    return (fits[np.argsort(misfit[fits], kind="stable")] + MIN_VERSION).tolist()
-
-
-_LOG_LEGS = np.log(10.0 + 4.0 * np.arange(MIN_VERSION, MAX_VERSION + 1))
-"""Logarithm of the modules between the centres of two finder patterns, by version."""
+    least, most = (0.25 * (math.exp(log_modules + end) - 10.0) for end in (-tolerance, tolerance))
+    fits = range(max(math.ceil(least), MIN_VERSION), min(math.floor(most), MAX_VERSION) + 1)
+    return sorted(fits, key=lambda version: abs(math.log(10.0 + 4.0 * version) - log_modules))
 
 
 def _pose(
     corner: NDArray[np.float64], leg_u: NDArray[np.float64], leg_v: NDArray[np.float64], version: int
 ) -> NDArray[np.float64]:
     """Affine pose from the centre of the top-left finder pattern and the two legs."""
-    per_u, per_v = leg_u / (10 + 4 * version), leg_v / (10 + 4 * version)
-    origin = corner - 3.5 * per_u - 3.5 * per_v
-    return np.array([[per_u[0], per_v[0], origin[0]], [per_u[1], per_v[1], origin[1]], [0.0, 0.0, 1.0]])
+    pose = np.eye(3)
+    pose[:2, 0], pose[:2, 1] = leg_u / (10 + 4 * version), leg_v / (10 + 4 * version)
+    pose[:2, 2] = corner - 3.5 * (pose[:2, 0] + pose[:2, 1])
+    return pose
