@@ -19,8 +19,8 @@ from numpy.typing import NDArray
 
 from evqr.config import StageOneConfig
 from evqr.region import Region, sharpen
-from evqr.stage_one import Alignment, align, fine_levels
-from evqr.workspace import Workspace
+from evqr.stage_one import Align, Alignment, fine_levels
+from evqr.workspace import Step, Workspace
 
 FIRST_LAGS = (0.0, 0.2, 0.4, 0.7, 1.0, 1.5)
 """ON lags tried first [modules]."""
@@ -64,12 +64,13 @@ def estimate_lag(
 
     # a step or two settle which pair is best; what they leave of the pose the next alignment takes up
     def try_pairs(pairs: list[tuple[float, float]], start: list[NDArray[np.float64]]) -> Alignment:
-        images = _mix(corners, pairs, region, workspace)
-        idx = np.arange(len(pairs), dtype=np.int32)
-        return align(
-            images, np.stack(start), version, fine_levels(cfg), cfg, workspace=workspace, image_idx=idx,
-            max_iterations=MOST_STEPS,
-        )  # fmt: skip
+        step = workspace.once(
+            ("pairs", id(corners), len(pairs), version, cfg),
+            lambda: _Pairs(corners, len(pairs), version, cfg, workspace),
+        )
+        step.write(pairs, np.stack(start))
+        step.run()
+        return step.align.read()
 
     module = region.cell * cfg.cells_a_module
     first = [(lag * module, OFF_OVER_ON * lag * module) for lag in FIRST_LAGS]
@@ -93,16 +94,23 @@ def estimate_lag(
     )
 
 
-def _mix(corners: Any, pairs: list[tuple[float, float]], region: Region, workspace: Workspace) -> Any:
-    """Make the images for pairs of lags [px] from those for (0, 0), (1, 0) and (0, 1)."""
-    count = len(pairs)
+class _Pairs(Step):
+    """Images for some pairs of lags, mixed from those for (0, 0), (1, 0) and (0, 1) px, and poses on them."""
 
-    def make() -> tuple[Any, ...]:
-        weight, images = workspace.mirror((count, 3)), workspace.empty(count, region.height, region.width)
-        run = workspace.backend.record(lambda: workspace.backend.mix_images(corners, weight.device, images))
-        return weight, images, run
+    def __init__(
+        self, corners: Any, count: int, version: int, cfg: StageOneConfig, workspace: Workspace
+    ) -> None:
+        super().__init__(workspace.backend)
+        self._corners, self._weight = corners, workspace.mirror((count, 3))
+        self._images = workspace.empty(count, *corners.shape[1:])
+        self.align = Align(self._images, count, version, fine_levels(cfg), MOST_STEPS, cfg, workspace)
 
-    weight, images, run = workspace.once(("mix", id(corners), count), make)
-    weight.write([(1.0 - on - off, on, off) for on, off in pairs])
-    run()
-    return images
+    def write(self, pairs: list[tuple[float, float]], start: NDArray[np.float64]) -> None:
+        """Say which lags [px], and the poses (N, 3, 3) to start from."""
+        self._weight.write([(1.0 - on - off, on, off) for on, off in pairs])
+        self.align.write(start, np.arange(len(pairs), dtype=np.int32))
+
+    def launch(self) -> None:
+        """Launch the kernels one by one."""
+        self._backend.mix_images(self._corners, self._weight.device, self._images)
+        self.align.launch()

@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from evqr.config import StageOneConfig
 from evqr.model import QUIET_MODULES
 from evqr.windows import Window
-from evqr.workspace import Workspace
+from evqr.workspace import EventSlots, Step, Workspace
 
 BLUR_CELLS = 0.55
 """Blur of a region's image beyond that of the deposit, whose tent has 0.41 [cells]."""
@@ -90,32 +90,81 @@ def events_near(window: Window, velocity: NDArray[np.float64], region: Region) -
     )
 
 
+class Deposit(Step):
+    """Events, transported to the middle of their window, on cells (1, 2, height, width)."""
+
+    def __init__(self, events: EventSlots, height: int, width: int, workspace: Workspace) -> None:
+        super().__init__(workspace.backend)
+        self._events = events
+        self._ptr, self._motion = workspace.mirror((2,), np.int32), workspace.mirror((1, 2))
+        self._frame = workspace.mirror((1, 3))
+        self.cells = workspace.empty(1, 2, height, width)
+
+    def write(self, window: Window, velocity: NDArray[np.float64], region: Region) -> None:
+        """Say which events, how they move and where the cells are."""
+        self._ptr.write((0, len(window)))
+        self._motion.write(velocity)
+        self._frame.write((region.x + 0.5, region.y + 0.5, region.cell))
+
+    def launch(self) -> None:
+        """Launch the kernels one by one."""
+        events = self._events
+        self._backend.clear(self.cells)
+        self._backend.deposit_events(
+            events.x, events.y, events.t, events.p, self._ptr.device, self._motion.device, self._frame.device,
+            self.cells,
+        )  # fmt: skip
+
+
+class Sharpen(Step):
+    """Blurs a deposit and undoes the pixels' lag, for a number of pairs of lags: (N, height, width)."""
+
+    def __init__(self, cells: Any, count: int, workspace: Workspace) -> None:
+        super().__init__(workspace.backend)
+        height, width = cells.shape[2:]
+        self._cells = cells
+        self._direction, self._lag = workspace.mirror((count, 2)), workspace.mirror((count, 2))
+        self._rows = workspace.empty(count, 2, height, width)
+        self._first = workspace.put(np.zeros(count, np.int32))
+        self._taps = workspace.put(blur_taps(BLUR_CELLS))
+        self.images = workspace.empty(count, height, width)
+
+    def write(
+        self, velocity: NDArray[np.float64], region: Region, lags_px: list[tuple[float, float]]
+    ) -> None:
+        """Say which lags (ON, OFF) along which motion."""
+        self._direction.write(velocity / max(math.hypot(*velocity), 1e-9))
+        self._lag.write(np.divide(lags_px, region.cell))
+
+    def launch(self) -> None:
+        """Launch the kernels one by one."""
+        self._backend.lag_operator(
+            self._cells, self._first, self._direction.device, self._lag.device, self._taps, self._rows,
+            self.images,
+        )  # fmt: skip
+
+
+def depositing(
+    window: Window, velocity: NDArray[np.float64], region: Region, *, workspace: Workspace
+) -> Deposit:
+    """Make ready to deposit a window's events on a region, over the last deposit on one of this size."""
+    events = workspace.events(window)
+    step = workspace.once(
+        ("deposit", region.height, region.width, events.capacity),
+        lambda: Deposit(events, region.height, region.width, workspace),
+    )
+    step.write(window, velocity, region)
+    return step
+
+
 def deposit(window: Window, velocity: NDArray[np.float64], region: Region, *, workspace: Workspace) -> Any:
     """Bring a window's events, transported to its middle, onto a region's cells (1, 2, height, width).
 
     The array is used again by the next deposit on a region of this size.
     """
-    events = workspace.events(window)
-
-    def make() -> tuple[Any, ...]:
-        ptr, motion = workspace.mirror((2,), np.int32), workspace.mirror((1, 2))
-        frame, cells = workspace.mirror((1, 3)), workspace.empty(1, 2, region.height, region.width)
-
-        def launch() -> None:
-            workspace.backend.clear(cells)
-            workspace.backend.deposit_events(
-                events.x, events.y, events.t, events.p, ptr.device, motion.device, frame.device, cells
-            )
-
-        return ptr, motion, frame, cells, workspace.backend.record(launch)
-
-    key = ("deposit", region.height, region.width, events.capacity)
-    ptr, motion, frame, cells, run = workspace.once(key, make)
-    ptr.write((0, len(window)))
-    motion.write(velocity)
-    frame.write((region.x + 0.5, region.y + 0.5, region.cell))
-    run()
-    return cells
+    step = depositing(window, velocity, region, workspace=workspace)
+    step.run()
+    return step.cells
 
 
 def sharpen(
@@ -131,25 +180,10 @@ def sharpen(
     The array is used again by the next call for this deposit and number of lags.
     """
     count = len(lags_px)
-
-    def make() -> tuple[Any, ...]:
-        direction, lag = workspace.mirror((count, 2)), workspace.mirror((count, 2))
-        rows = workspace.empty(count, 2, region.height, region.width)
-        images = workspace.empty(count, region.height, region.width)
-        first = workspace.put(np.zeros(count, np.int32))
-        taps = workspace.put(blur_taps(BLUR_CELLS))
-        run = workspace.backend.record(
-            lambda: workspace.backend.lag_operator(
-                cells, first, direction.device, lag.device, taps, rows, images
-            )
-        )
-        return direction, lag, images, run
-
-    direction, lag, images, run = workspace.once(("sharpen", id(cells), count), make)
-    direction.write(velocity / max(math.hypot(*velocity), 1e-9))
-    lag.write(np.divide(lags_px, region.cell))
-    run()
-    return images
+    step = workspace.once(("sharpen", id(cells), count), lambda: Sharpen(cells, count, workspace))
+    step.write(velocity, region, lags_px)
+    step.run()
+    return step.images
 
 
 @functools.cache

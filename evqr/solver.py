@@ -12,7 +12,6 @@ import time
 from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass, replace
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -23,9 +22,10 @@ from evqr.initial.finder import find_hypotheses, find_peaks
 from evqr.initial.motion import Motion, estimate_motion, find_motion, window_length_us
 from evqr.initial.pose import Candidate, screen
 from evqr.lag import estimate_lag
-from evqr.region import Region, deposit, region_around, sharpen
-from evqr.stage_one import Alignment, align, fine_levels, refine_from_cold
-from evqr.stage_two import NormalEquations, normal_equations
+from evqr.measure import measure
+from evqr.region import Region, depositing, region_around
+from evqr.stage_one import Alignment, escape_side_minimum
+from evqr.stage_two import NormalEquations
 from evqr.windows import EventBuffer, Window
 from evqr.workspace import Workspace
 from evqr_kernels.backend import get_backend
@@ -124,13 +124,16 @@ class Unseen:
 
 @dataclass(frozen=True, eq=False)
 class _Closer:
-    """A candidate, refined; ``cells`` and ``image`` are None once their arrays are used again."""
+    """A candidate, refined; ``equations`` are None where they are not of its pose.
+
+    ``deposited``: whether its events still are on the device's cells.
+    """
 
     version: int
     region: Region
-    cells: Any
-    image: Any
     found: Alignment
+    equations: NormalEquations | None
+    deposited: bool = True
     iterations: int = 0
 
     @property
@@ -275,21 +278,20 @@ class Solver:
         cfg = self.config.stage_one
         looks: list[_Closer] = []
         for candidate in candidates:
-            region = region_around(
-                candidate.pose, size_of(candidate.version), cfg, margin_px=SEARCH_MARGIN_PX
-            )
-            cells = deposit(window, velocity, region, workspace=self.workspace)
-            image = self._image(cells, velocity, region, lag_us)
-            found = refine_from_cold(
-                image, region.from_px @ candidate.pose, candidate.version, cfg, workspace=self.workspace
-            )
-            looks.append(_Closer(candidate.version, region, cells, image, found))
+            version = candidate.version
+            region = region_around(candidate.pose, size_of(version), cfg, margin_px=SEARCH_MARGIN_PX)
+            seen = measure(
+                window, velocity, region, region.from_px @ candidate.pose, version, _lag_px(lag_us, velocity),
+                self.config, workspace=self.workspace,
+            )  # fmt: skip
+            found = escape_side_minimum(seen.image, seen.found, version, cfg, workspace=self.workspace)
+            equations = seen.equations if found is seen.found else None
+            looks.append(_Closer(version, region, found, equations))
             if looks[-1].score >= cfg.good_score:
                 break
         best = max(looks, key=lambda look: look.score)
-        if best is not looks[-1]:
-            best = replace(best, cells=None, image=None)
-        return replace(best, iterations=sum(look.found.iterations for look in looks))
+        iterations = sum(look.found.iterations for look in looks)
+        return replace(best, deposited=best is looks[-1], iterations=iterations)
 
     def _settle(
         self,
@@ -301,95 +303,82 @@ class Solver:
     ) -> Sighting:
         """Estimate what is still unknown of a code that was found, and measure it."""
         region, version, pose = closer.region, closer.version, closer.found.pose[0]
-        cells = closer.cells
-        if cells is None:
-            with self.clock("stage_one"):
-                cells = deposit(window, velocity, region, workspace=self.workspace)
         if lag_us is None and closer.score >= self.config.stage_one.sharp_score:
             lag_us = (0.0, 0.0)
-        if lag_us is not None and closer.image is not None:
-            return self._sighting(
-                window, closer.image, closer.found, velocity, region, version, lag_us, iterations
+        if lag_us is not None and closer.equations is not None:
+            return _sighting(
+                window, closer.found, closer.equations, velocity, region, version, lag_us, iterations
             )
+        deposited = closer.deposited
         if lag_us is None:
             with self.clock("lag"):
+                step = depositing(window, velocity, region, workspace=self.workspace)
+                if not deposited:
+                    step.run()
+                    deposited = True
                 lag_px, found = estimate_lag(
-                    cells, velocity, region, pose, version, self.config.stage_one, workspace=self.workspace
-                )
+                    step.cells, velocity, region, pose, version, self.config.stage_one,
+                    workspace=self.workspace,
+                )  # fmt: skip
             per_us = float(np.hypot(*velocity)) * 1e-6
             lag_us = (lag_px[0] / per_us, lag_px[1] / per_us)
             pose = found.pose[0]
-        return self._measure(window, cells, velocity, region, pose, version, lag_us, iterations)
-
-    def _image(
-        self,
-        cells: Any,
-        velocity: NDArray[np.float64],
-        region: Region,
-        lag_us: tuple[float, float] | None,
-    ) -> Any:
-        """Make the image of a region from its deposit, with the lags undone as far as they are known."""
-        return sharpen(cells, velocity, region, [_lag_px(lag_us, velocity)], workspace=self.workspace)
+        return self._measure(
+            window, velocity, region, pose, version, lag_us, iterations, from_events=not deposited
+        )
 
     def follow(self, window: Window, seen: Sighting) -> Sighting | None:
         """Find a code again that an earlier window saw; None when it is lost."""
-        with self.clock("stage_one"):
-            pose = seen.pose_at(window.middle_us)
-            region = region_around(pose, seen.size, self.config.stage_one)
-            cells = deposit(window, seen.velocity, region, workspace=self.workspace)
+        pose = seen.pose_at(window.middle_us)
+        region = region_around(pose, seen.size, self.config.stage_one)
         found = self._measure(
-            window, cells, seen.velocity, region, region.from_px @ pose, seen.version, seen.lag_us, 0
+            window, seen.velocity, region, region.from_px @ pose, seen.version, seen.lag_us, 0
         )
         return found if found.score >= self.config.stage_one.min_score else None
 
     def _measure(
         self,
         window: Window,
-        cells: Any,
         velocity: NDArray[np.float64],
         region: Region,
         pose: NDArray[np.float64],
         version: int,
         lag_us: tuple[float, float],
         iterations: int,
+        *,
+        from_events: bool = True,
     ) -> Sighting:
-        """Stage one at its finest level with the lags undone, then stage two's equations."""
-        cfg = self.config.stage_one
+        """Measure a code whose pose is nearly known, with the lags undone."""
         with self.clock("stage_one"):
-            image = self._image(cells, velocity, region, lag_us)
-            found = align(image, pose[None], version, fine_levels(cfg), cfg, workspace=self.workspace)
-        return self._sighting(
-            window, image, found, velocity, region, version, lag_us, iterations + found.iterations
-        )
-
-    def _sighting(
-        self,
-        window: Window,
-        image: Any,
-        found: Alignment,
-        velocity: NDArray[np.float64],
-        region: Region,
-        version: int,
-        lag_us: tuple[float, float],
-        iterations: int,
-    ) -> Sighting:
-        """Build stage two's equations of a code whose pose is known."""
-        cfg = self.config
-        with self.clock("stage_two"):
-            equations = normal_equations(
-                image, found.pose[0], found.gain[0], version, cfg.stage_one.sigma, cfg.stage_two,
-                workspace=self.workspace,
+            seen = measure(
+                window, velocity, region, pose, version, _lag_px(lag_us, velocity), self.config,
+                workspace=self.workspace, from_events=from_events,
             )  # fmt: skip
-        pose = region.to_px @ found.pose[0]
-        return Sighting(
-            version=version,
-            pose=pose / pose[2, 2],
-            velocity=velocity,
-            gain=found.gain[0],
-            score=float(found.score[0]),
-            noise=float(found.noise[0]),
-            lag_us=lag_us,
-            equations=equations,
-            time_us=window.middle_us,
-            iterations=iterations,
-        )
+        iterations += seen.found.iterations
+        return _sighting(window, seen.found, seen.equations, velocity, region, version, lag_us, iterations)
+
+
+def _sighting(
+    window: Window,
+    found: Alignment,
+    equations: NormalEquations,
+    velocity: NDArray[np.float64],
+    region: Region,
+    version: int,
+    lag_us: tuple[float, float],
+    iterations: int,
+) -> Sighting:
+    """Give what was measured on a region in px of the sensor."""
+    pose = region.to_px @ found.pose[0]
+    return Sighting(
+        version=version,
+        pose=pose / pose[2, 2],
+        velocity=velocity,
+        gain=found.gain[0],
+        score=float(found.score[0]),
+        noise=float(found.noise[0]),
+        lag_us=lag_us,
+        equations=equations,
+        time_us=window.middle_us,
+        iterations=iterations,
+    )

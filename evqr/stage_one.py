@@ -20,7 +20,7 @@ from numpy.typing import NDArray
 
 from evqr.config import StageOneConfig
 from evqr.model import MOMENTS, pose_table
-from evqr.workspace import Workspace
+from evqr.workspace import Step, Workspace
 
 RIDGE = 1e-3
 """Regularises the gain where the known modules leave a direction open, relative to the trace."""
@@ -94,6 +94,55 @@ def _terms(tilt: bool) -> tuple[NDArray[np.int32], NDArray[np.int32]]:
     return np.ascontiguousarray(padded[..., 0]), np.ascontiguousarray(padded[..., 1])
 
 
+class Align(Step):
+    """Refines the poses of N hypotheses of one version, each on one of some images, over levels."""
+
+    def __init__(
+        self, images: Any, count: int, version: int, levels: tuple[Level, ...], max_iterations: int,
+        cfg: StageOneConfig, workspace: Workspace,
+    ) -> None:  # fmt: skip
+        super().__init__(workspace.backend)
+        self._images, self._max_iterations = images, max_iterations
+        self._image_idx = workspace.mirror((count,), np.int32)
+        self._tables = [_tables(version, level, cfg, workspace) for level in levels]
+        self._results = [workspace.mirror((count, 5)) for _ in levels]
+        self._pose = workspace.mirror((count, 9))
+
+    @property
+    def pose(self) -> Any:
+        """Poses (N, 9) on the device."""
+        return self._pose.device
+
+    @property
+    def gain(self) -> Any:
+        """Gains (N, 2) on the device."""
+        return self._results[-1].device[:, :2]
+
+    def write(self, pose: NDArray[np.float64], image_idx: NDArray[np.int32] | int) -> None:
+        """Say where to start (N, 3, 3) and on which images."""
+        self._pose.write(pose.reshape(-1, 9))
+        self._image_idx.write(image_idx)
+
+    def launch(self) -> None:
+        """Launch the kernels one by one."""
+        for tables, result in zip(self._tables, self._results, strict=True):
+            self._backend.align_poses(
+                self._images, self._image_idx.device, *tables, self._max_iterations, self._pose.device,
+                result.device,
+            )  # fmt: skip
+
+    def read(self) -> Alignment:
+        """Wait for the device and give what came out."""
+        last = self._results[-1].read().astype(np.float64)
+        return Alignment(
+            self._pose.read().astype(np.float64).reshape(-1, 3, 3),
+            last[:, :2],
+            last[:, 2],
+            last[:, 3],
+            sum(int(result.read()[:, 4].max()) for result in self._results),
+        )
+
+
 def align(
     image: Any,
     pose: NDArray[np.float64],
@@ -115,35 +164,14 @@ def align(
     image_idx : (N,) int32        image of each hypothesis; default the first
     max_iterations                at each level, default the configured; 0 scores the poses as they are
     """
-    n = len(pose)
     most = cfg.max_iterations if max_iterations is None else max_iterations
-
-    def make() -> tuple[Any, ...]:
-        idx, at = workspace.mirror((n,), np.int32), workspace.mirror((n, 9))
-        results = [workspace.mirror((n, 5)) for _ in levels]
-        tables = [_tables(version, level, cfg, workspace) for level in levels]
-
-        def launch() -> None:
-            for level_tables, result in zip(tables, results, strict=True):
-                workspace.backend.align_poses(
-                    image, idx.device, *level_tables, most, at.device, result.device
-                )
-
-        return idx, at, results, workspace.backend.record(launch)
-
-    key = ("align", id(image), version, levels, n, most, cfg)
-    idx, at, results, run = workspace.once(key, make)
-    idx.write(0 if image_idx is None else image_idx)
-    at.write(pose.reshape(n, 9))
-    run()
-    values = [result.read().astype(np.float64) for result in results]
-    return Alignment(
-        at.read().astype(np.float64).reshape(n, 3, 3),
-        values[-1][:, :2],
-        values[-1][:, 2],
-        values[-1][:, 3],
-        sum(int(value[:, 4].max()) for value in values),
+    step = workspace.once(
+        ("align", id(image), version, levels, len(pose), most, cfg),
+        lambda: Align(image, len(pose), version, levels, most, cfg, workspace),
     )
+    step.write(pose, 0 if image_idx is None else image_idx)
+    step.run()
+    return step.read()
 
 
 _Tables = tuple[Any, Any, Any, Any, Any, Any]
@@ -172,23 +200,22 @@ def shifted(pose: NDArray[np.float64]) -> NDArray[np.float64]:
     return pose @ steps
 
 
-def refine_from_cold(
-    image: Any, pose: NDArray[np.float64], version: int, cfg: StageOneConfig, *, workspace: Workspace
+def escape_side_minimum(
+    image: Any, found: Alignment, version: int, cfg: StageOneConfig, *, workspace: Workspace
 ) -> Alignment:
-    """Refine one pose (3, 3) from the coarse look: the finest level, then the neighbours one module away.
+    """Look at the poses one module away from one that was refined from the search.
 
     The cost has a side minimum one module off, where finder patterns half agree.  Unless the score is better
-    than that allows, its neighbours are looked at, not refined: from a side minimum the true pose is exactly
-    one module away.
+    than that allows, the neighbours are looked at, not refined: from a side minimum the true pose is exactly
+    one module away.  Gives ``found`` itself where none of them is better.
     """
-    levels = fine_levels(cfg)
-    found = align(image, pose[None], version, levels, cfg, workspace=workspace)
     if found.score[0] >= cfg.good_score:
         return found
+    levels = fine_levels(cfg)
     around = shifted(found.pose[0])
     score = align(image, around, version, levels[-1:], cfg, workspace=workspace, max_iterations=0).score
     best = int(score.argmax())
     if score[best] <= found.score[0] + cfg.shift_gain:
         return found
-    again = align(image, around[best : best + 1], version, fine_levels(cfg), cfg, workspace=workspace)
+    again = align(image, around[best : best + 1], version, levels, cfg, workspace=workspace)
     return replace(again, iterations=found.iterations + again.iterations)

@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 from evqr.codespace import code_space, size_of
 from evqr.config import StageTwoConfig
 from evqr.model import QUIET_MODULES, lattice, profiles
-from evqr.workspace import Workspace
+from evqr.workspace import Mirror, Step, Workspace
 
 REACH = 2
 """Modules on either side that a module meets in the normal matrix."""
@@ -76,6 +76,43 @@ def _profile_tables(sigma: float, samples: int) -> tuple[NDArray[np.float64], ..
     return b, slope, correlate(b, b), correlate(slope, slope), correlate(b, slope)
 
 
+class Equations(Step):
+    """Right-hand side of a window's normal equations, for a pose (1, 9) and a gain (1, 2) on the device."""
+
+    def __init__(
+        self, image: Any, pose: Any, gain: Any, version: int, sigma: float, cfg: StageTwoConfig,
+        workspace: Workspace,
+    ) -> None:  # fmt: skip
+        super().__init__(workspace.backend)
+        self._version = version
+        self._image, self._pose, self._gain = image, pose, gain
+        axis = lattice(size_of(version), cfg.samples)
+        count, modules = len(axis), len(axis) // cfg.samples
+        b, slope, *self._correlations = _profile_tables(sigma, cfg.samples)
+        self._axis, self._profile, self._slope = (
+            workspace.put(f.astype(np.float32)) for f in (axis, b, slope)
+        )
+        self._samples = cfg.samples
+        self._sampled, self._rows = workspace.empty(1, count, count), workspace.empty(1, 2, count, modules)
+        self._rhs = workspace.mirror((1, modules, modules))
+
+    def launch(self) -> None:
+        """Launch the kernels one by one."""
+        self._backend.code_rhs(
+            self._image, self._pose, self._axis, self._profile, self._slope, self._gain, self._samples,
+            self._sampled, self._rows, self._rhs.device,
+        )  # fmt: skip
+
+    def read(self, gain: NDArray[np.float64]) -> NormalEquations:
+        """Wait for the device and give the equations, whose matrix depends on the gain alone."""
+        bb, ss, bs = self._correlations
+        a_u, a_v = gain
+        sb = bs[::-1]
+        stencil = a_u * a_u * np.outer(bb, ss) + a_v * a_v * np.outer(ss, bb)
+        stencil += a_u * a_v * (np.outer(bs, sb) + np.outer(sb, bs))
+        return NormalEquations(self._version, stencil, self._rhs.read()[0].astype(np.float64))
+
+
 def normal_equations(
     image: Any,
     pose: NDArray[np.float64],
@@ -95,40 +132,16 @@ def normal_equations(
     gain : (2,)         of stage one
     sigma               blur of the model [modules]
     """
-    b, slope, bb, ss, bs = _profile_tables(sigma, cfg.samples)
 
-    def make() -> tuple[Any, ...]:
-        axis = lattice(size_of(version), cfg.samples)
-        count, modules = len(axis), len(axis) // cfg.samples
+    def make() -> tuple[Mirror, Mirror, Equations]:
         at, gains = workspace.mirror((1, 9)), workspace.mirror((1, 2))
-        rhs = workspace.mirror((1, modules, modules))
-        points, profile, profile_slope = (workspace.put(f.astype(np.float32)) for f in (axis, b, slope))
-        samples, rows = workspace.empty(1, count, count), workspace.empty(1, 2, count, modules)
-        run = workspace.backend.record(
-            lambda: workspace.backend.code_rhs(
-                image,
-                at.device,
-                points,
-                profile,
-                profile_slope,
-                gains.device,
-                cfg.samples,
-                samples,
-                rows,
-                rhs.device,
-            )
-        )
-        return at, gains, rhs, run
+        return at, gains, Equations(image, at.device, gains.device, version, sigma, cfg, workspace)
 
-    at, gains, rhs, run = workspace.once(("code rhs", id(image), version, sigma, cfg.samples), make)
+    at, gains, step = workspace.once(("equations", id(image), version, sigma, cfg), make)
     at.write(pose.reshape(1, 9))
     gains.write(gain)
-    run()
-    a_u, a_v = gain
-    sb = bs[::-1]
-    stencil = a_u * a_u * np.outer(bb, ss) + a_v * a_v * np.outer(ss, bb)
-    stencil += a_u * a_v * (np.outer(bs, sb) + np.outer(sb, bs))
-    return NormalEquations(version, stencil, rhs.read()[0].astype(np.float64))
+    step.run()
+    return step.read(gain)
 
 
 @functools.cache

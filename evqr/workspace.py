@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections import OrderedDict
 from collections.abc import Callable
+from functools import cached_property
 from typing import TYPE_CHECKING, Any, TypeVar
 
 import numpy as np
@@ -52,6 +53,22 @@ class Mirror:
         if not self._shared:
             self.host[...] = self._backend.to_host(self.device)
         return self.host
+
+
+class Step:
+    """Launches on arrays of its own: alone, or as a part of a larger step."""
+
+    def __init__(self, backend: KernelBackend) -> None:
+        self._backend = backend
+
+    def launch(self) -> None:
+        """Launch the kernels one by one."""
+        raise NotImplementedError
+
+    @cached_property
+    def run(self) -> Callable[[], None]:
+        """Launches all of it, recorded when it is first asked for."""
+        return self._backend.record(self.launch)
 
 
 class EventSlots:

@@ -20,7 +20,7 @@ from numpy.typing import NDArray
 from evqr.codespace import MAX_VERSION, MIN_VERSION
 from evqr.config import FinderConfig, LookConfig
 from evqr.model import profiles
-from evqr.region import BLUR_CELLS, blur_taps
+from evqr.region import Deposit, Region, Sharpen
 from evqr.windows import Window
 from evqr.workspace import EventSlots, Workspace
 
@@ -170,8 +170,6 @@ class _Search:
     ) -> None:  # fmt: skip
         backend, half = workspace.backend, cfg.half
         side = 2 * half + 1
-        self._ptr, self._motion = workspace.mirror((2,), np.int32), workspace.mirror((1, 2))
-        self._direction, self._lag = workspace.mirror((1, 2)), workspace.mirror((1, 2))
         self._basis, self._mix = workspace.mirror((side, side, TERMS)), workspace.mirror((ANGLES, TERMS))
         self._peaks = workspace.mirror((1, look.peaks, 5))
         spans = workspace.put(_spans(cfg))
@@ -188,7 +186,14 @@ class _Search:
             backend.clear(padded[-1])
             self.pyramid.append(PyramidLevel(cell, padded[-1][:, half : half + rows, half : half + columns]))
             modules.append(module_px)
+        self._cfg, self._run = cfg, None
+        if not self.pyramid:
+            return
         shapes = [level.image.shape[1:] for level in self.pyramid]
+        cell, (rows, columns) = self.pyramid[0].cell, shapes[0]
+        self._region = Region(-0.5, -0.5, cell, rows, columns)
+        self._deposit = Deposit(events, rows, columns, workspace)
+        self._sharpen = Sharpen(self._deposit.cells, 1, workspace)
         slots = sum(rows for rows, _ in shapes)
         maxima = workspace.empty(1, slots, MOST_A_ROW, 5)
         strength = workspace.empty(1, slots * MOST_A_ROW)
@@ -199,7 +204,12 @@ class _Search:
             first = 0
             for k, (level, (rows, columns)) in enumerate(zip(self.pyramid, shapes, strict=True)):
                 if k == 0:
-                    self._finest(events, level, busy, workspace)
+                    self._deposit.launch()
+                    self._sharpen.launch()
+                    backend.clip_outliers(
+                        self._sharpen.images, CLIP, workspace.empty(1, rows, 2), workspace.empty(1), busy,
+                        level.image,
+                    )  # fmt: skip
                 else:
                     fine = self.pyramid[k - 1].image
                     backend.reduce_image(
@@ -227,40 +237,18 @@ class _Search:
                 index, self._peaks.device,
             )  # fmt: skip
 
-        self._run = backend.record(launch) if self.pyramid else None
-        self._cfg = cfg
-
-    def _finest(self, events: EventSlots, level: PyramidLevel, busy: Any, workspace: Workspace) -> None:
-        """Make the finest level from the events; what falls on no cell is exactly 0."""
-        backend = workspace.backend
-        _, rows, columns = level.image.shape
-        cells, blurred = workspace.empty(1, 2, rows, columns), workspace.empty(1, rows, columns)
-        frame = workspace.put(np.array([[0.0, 0.0, level.cell]], np.float32))
-        backend.clear(cells)
-        backend.deposit_events(
-            events.x, events.y, events.t, events.p, self._ptr.device, self._motion.device, frame, cells
-        )
-        backend.lag_operator(
-            cells, workspace.put(np.zeros(1, np.int32)), self._direction.device, self._lag.device,
-            workspace.put(blur_taps(BLUR_CELLS)), workspace.empty(1, 2, rows, columns), blurred,
-        )  # fmt: skip
-        backend.clip_outliers(
-            blurred, CLIP, workspace.empty(1, rows, 2), workspace.empty(1), busy, level.image
-        )
+        self._run = backend.record(launch)
 
     def __call__(
-        self, count: int, velocity: NDArray[np.float64], lag_px: tuple[float, float]
+        self, window: Window, velocity: NDArray[np.float64], lag_px: tuple[float, float]
     ) -> NDArray[np.float32]:
         """Give the peaks, (N, 5), best first."""
         if self._run is None:
             return np.empty((0, 5), np.float32)
-        direction = velocity / math.hypot(*velocity)
-        degrees = round(math.degrees(math.atan2(direction[1], direction[0])))  # as good as it is known
+        degrees = round(math.degrees(math.atan2(velocity[1], velocity[0])))  # as good as it is known
         basis, mix = _bank(degrees, self._cfg)
-        self._ptr.write((0, count))
-        self._motion.write(velocity)
-        self._direction.write(direction)
-        self._lag.write(np.divide(lag_px, self.pyramid[0].cell))
+        self._deposit.write(window, velocity, self._region)
+        self._sharpen.write(velocity, self._region, [lag_px])
         self._basis.write(basis)
         self._mix.write(mix)
         self._run()
@@ -296,7 +284,7 @@ def find_peaks(
         ("search", events.capacity, window.height, window.width, cfg, look),
         lambda: _Search(events, window.height, window.width, cfg, look, workspace),
     )
-    table = search(len(window), velocity, lag_px).astype(np.float64)
+    table = search(window, velocity, lag_px).astype(np.float64)
     return Peaks(table[:, 0], table[:, 1:3], table[:, 3], table[:, 4]), search.pyramid
 
 

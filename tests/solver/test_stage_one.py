@@ -7,7 +7,7 @@ import pytest
 from scenes import moved, scene
 
 from evqr.config import StageOneConfig
-from evqr.stage_one import align, coarse_levels, fine_levels, refine_from_cold, shifted
+from evqr.stage_one import align, coarse_levels, escape_side_minimum, fine_levels, shifted
 
 CONFIG = StageOneConfig()
 
@@ -201,7 +201,8 @@ def test_the_neighbours_of_a_pose_are_one_module_away(see):
 def test_a_pose_one_module_off_is_repaired(step, version, workspace, see):
     seen = see(scene(version=version, module_px=4.0, preset="fast"))
     start = seen.region.from_px @ moved(seen.pose, seen.size, shift=step)
-    found = refine_from_cold(seen.image, start, version, CONFIG, workspace=workspace)
+    refined = align(seen.image, start[None], version, fine_levels(CONFIG), CONFIG, workspace=workspace)
+    found = escape_side_minimum(seen.image, refined, version, CONFIG, workspace=workspace)
     assert seen.modules_off(found.pose[0]) < 0.3  # lags are not undone here: 0.06 modules a px/ms
     assert len(found.pose) == len(found.score) == 1
 
