@@ -8,6 +8,7 @@ from collections import deque
 from collections.abc import Iterator
 from concurrent.futures import Future, ThreadPoolExecutor
 from contextlib import ExitStack
+from dataclasses import dataclass
 from queue import SimpleQueue
 from typing import TYPE_CHECKING, Any
 
@@ -25,6 +26,9 @@ from evqr.windows import EventBuffer
 if TYPE_CHECKING:
     from evqr.config import ReadConfig
     from evqr.recording import TimeUnit
+
+WINDOWS_A_JOB = 4
+"""Windows that a thread reads before it asks for more: each time it may have to wait for the GIL."""
 
 
 def read_codes(
@@ -107,33 +111,34 @@ def read_windows(
         recording, _ = _open(source, sensor, time_unit, stack)
         solvers, pool = _solvers(threads, stack, config=config, backend=backend, device=device)
         events = EventBuffer(recording.chunks())
-        starts = _starts(events, recording, solvers[0])
         if pool is None:
-            for index, start_us, length in starts:
-                events.forget(start_us)
-                yield _read_alone(index, start_us, length, events, solvers[0])
-                _tell(progress, start_us, events, recording)
+            for start in _starts(events, recording, solvers[0]):
+                events.forget(start.us)
+                yield _read_alone(start, events, solvers[0])
+                _tell(progress, start.us, events, recording)
             return
         idle: SimpleQueue[Solver] = SimpleQueue()
         for solver in solvers:
             idle.put(solver)
 
-        def job(index: int, start_us: int, length: int | None) -> WindowReading:
+        def job(starts: list[_Start]) -> list[WindowReading]:
             solver = idle.get()
             try:
-                return _read_alone(index, start_us, length, events, solver)
+                return [_read_alone(start, events, solver) for start in starts]
             finally:
                 idle.put(solver)
 
-        running: deque[tuple[int, Future[WindowReading]]] = deque()
-        for index, start_us, length in starts:
-            running.append((start_us, pool.submit(job, index, start_us, length)))
+        # a solver of its own, for the motion that windows are as long as: the others are at work meanwhile
+        ahead = _starts(events, recording, Solver(config, backend=backend, device=device))
+        running: deque[tuple[int, Future[list[WindowReading]]]] = deque()
+        while starts := list(itertools.islice(ahead, WINDOWS_A_JOB)):
+            running.append((starts[0].us, pool.submit(job, starts)))
             if len(running) > 2 * len(solvers):
                 events.forget(running[0][0])
-                yield running.popleft()[1].result()
-            _tell(progress, start_us, events, recording)
+                yield from running.popleft()[1].result()
+            _tell(progress, starts[-1].us, events, recording)
         while running:
-            yield running.popleft()[1].result()
+            yield from running.popleft()[1].result()
 
 
 def _solvers(
@@ -153,10 +158,17 @@ def _tell(progress: Progress | None, now_us: int, events: EventBuffer, recording
         progress(now_us - events.first_us, None if last is None else last - events.first_us)
 
 
-def _starts(
-    events: EventBuffer, recording: Recording, solver: Solver
-) -> Iterator[tuple[int, int, int | None]]:
-    """Index, start and length of the windows [us]; no length where each window finds its own."""
+@dataclass(frozen=True)
+class _Start:
+    """A window to read: its number, start and length [us]; no length where it finds its own."""
+
+    index: int
+    us: int
+    length_us: int | None
+
+
+def _starts(events: EventBuffer, recording: Recording, solver: Solver) -> Iterator[_Start]:
+    """Windows to read, in order of time."""
     cfg = solver.config
     first = events.first_us
     if first is None:
@@ -167,7 +179,7 @@ def _starts(
             last = max(int(chunk.t[-1]) for chunk in recording.chunks() if len(chunk))
         slot = (last + 1 - first) / cfg.max_windows
         for index in range(cfg.max_windows):
-            yield index, round(first + index * slot), cfg.window_us
+            yield _Start(index, round(first + index * slot), cfg.window_us)
         return
     start_us = first
     for index in itertools.count():
@@ -177,15 +189,14 @@ def _starts(
         if length is None:
             motion = solver.motion_at(events, start_us)
             length = solver.window_us(motion.speed) if motion is not None else cfg.motion.probe_us
-        yield index, start_us, length
+        yield _Start(index, start_us, length)
         start_us += length
 
 
-def _read_alone(
-    index: int, start_us: int, length: int | None, events: EventBuffer, solver: Solver
-) -> WindowReading:
+def _read_alone(start: _Start, events: EventBuffer, solver: Solver) -> WindowReading:
     """Read one window from cold."""
     solver.clock = StageClock()
+    start_us, length = start.us, start.length_us
     status, reason = ReadStatus.NO_CODE, ""
     motion = None
     if length is None:
@@ -213,7 +224,7 @@ def _read_alone(
     return WindowReading(
         status=status,
         reason=reason,
-        window=index,
+        window=start.index,
         t_start_us=window.start_us,
         t_end_us=window.end_us,
         n_events=len(window),
