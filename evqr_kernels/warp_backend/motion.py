@@ -20,16 +20,21 @@ import warp as wp
 
 from evqr_kernels.warp_backend.language import launch, module_of, neighbours, vector
 
-BLOCK = 16
-"""Neighbouring shifts, or pixels, done together."""
+CPU_BLOCK, GPU_BLOCK = 16, 4
+"""Neighbouring shifts, or pixels, done together: vector units want many, registers few."""
+
+
+def block_of(device: wp.Device) -> int:
+    """Choose the block for a device."""
+    return CPU_BLOCK if device.is_cpu else GPU_BLOCK
 
 
 @cache
-def make_clip_rows(dtype: type) -> wp.Kernel:
+def make_clip_rows(dtype: type, block: int) -> wp.Kernel:
     """Build the clipping; launch: one thread per row of each image."""
-    vec_block = vector(BLOCK, dtype)
+    vec_block = vector(block, dtype)
 
-    @wp.kernel(module=module_of("motion", dtype))
+    @wp.kernel(module=module_of(f"motion_{block}", dtype))
     def clip_rows(
         blocks: wp.array4d(dtype=vec_block),
         clip: dtype,
@@ -38,13 +43,13 @@ def make_clip_rows(dtype: type) -> wp.Kernel:
     ):
         b, i, y = wp.tid()
         width = images_inout.shape[3]
-        whole = width - width % BLOCK
+        whole = width - width % block
         energy = dtype(0.0)
-        for x in range(0, whole, BLOCK):
-            block = blocks[b, i, y, x]
-            squares = wp.dot(block, block)
+        for x in range(0, whole, block):
+            pixels = blocks[b, i, y, x]
+            squares = wp.dot(pixels, pixels)
             if squares > clip * clip:  # else none of them is beyond
-                for p in range(BLOCK):
+                for p in range(block):
                     value = images_inout[b, i, y, x + p]
                     if wp.abs(value) > clip:
                         images_inout[b, i, y, x + p] = wp.clamp(value, -clip, clip)
@@ -60,11 +65,11 @@ def make_clip_rows(dtype: type) -> wp.Kernel:
 
 
 @cache
-def make_correlate_rows(dtype: type) -> wp.Kernel:
+def make_correlate_rows(dtype: type, block: int) -> wp.Kernel:
     """Build the correlation; launch: one thread per row.  ``.._blocks``: `neighbours` of the same array."""
-    vec_block = vector(BLOCK, dtype)
+    vec_block = vector(block, dtype)
 
-    @wp.kernel(module=module_of("motion", dtype))
+    @wp.kernel(module=module_of(f"motion_{block}", dtype))
     def correlate_rows(
         images: wp.array4d(dtype=dtype),
         blocks: wp.array4d(dtype=vec_block),
@@ -83,25 +88,41 @@ def make_correlate_rows(dtype: type) -> wp.Kernel:
         first = wp.min(radius, width)
         last = wp.max(first, width - columns + radius + 1)
         count = wp.int32(0)
-        for x in range(first, last, BLOCK):
-            begin = wp.min(x, width - BLOCK)
-            block = blocks[b, 0, y, begin]
-            if wp.dot(block, block) > dtype(0.0):
-                for p in range(x, wp.min(x + BLOCK, last)):
+        for x in range(first, last, block):
+            begin = wp.min(x, width - block)
+            pixels = blocks[b, 0, y, begin]
+            if wp.dot(pixels, pixels) > dtype(0.0):
+                for p in range(x, wp.min(x + block, last)):
                     if images[b, 0, y, p] != dtype(0.0):
                         found_out[b, y, count] = p
                         count += 1
-        for j in range(shifts):
-            other = wp.clamp(y - radius + j, 0, height - 1)
-            inside = count
-            if other != y - radius + j:
-                inside = 0
-            for i in range(0, columns, BLOCK):
-                total = vec_block()
-                for k in range(inside):
+        # four rows of shifts at a time: they share each pixel, and while one sum waits the others add
+        for j in range(0, shifts, 4):
+            top = y - radius + j
+            row0 = wp.clamp(top, 0, height - 1)
+            row1 = wp.clamp(top + 1, 0, height - 1)
+            row2 = wp.clamp(top + 2, 0, height - 1)
+            row3 = wp.clamp(top + 3, 0, height - 1)
+            for i in range(0, columns, block):
+                sum0 = vec_block()
+                sum1 = vec_block()
+                sum2 = vec_block()
+                sum3 = vec_block()
+                for k in range(count):
                     x = found_out[b, y, k]
-                    total += images[b, 0, y, x] * blocks[b, 1, other, x - radius + i]
-                row_blocks_out[b, y, j, i] = total
+                    value = images[b, 0, y, x]
+                    sum0 += value * blocks[b, 1, row0, x - radius + i]
+                    sum1 += value * blocks[b, 1, row1, x - radius + i]
+                    sum2 += value * blocks[b, 1, row2, x - radius + i]
+                    sum3 += value * blocks[b, 1, row3, x - radius + i]
+                # a row outside the image counts for nothing
+                row_blocks_out[b, y, j, i] = wp.where(row0 == top, sum0, vec_block())
+                if j + 1 < shifts:
+                    row_blocks_out[b, y, j + 1, i] = wp.where(row1 == top + 1, sum1, vec_block())
+                if j + 2 < shifts:
+                    row_blocks_out[b, y, j + 2, i] = wp.where(row2 == top + 2, sum2, vec_block())
+                if j + 3 < shifts:
+                    row_blocks_out[b, y, j + 3, i] = wp.where(row3 == top + 3, sum3, vec_block())
         for k in range(width - (last - first)):  # the others
             x = k
             if k >= first:
@@ -110,17 +131,18 @@ def make_correlate_rows(dtype: type) -> wp.Kernel:
             if value != dtype(0.0):
                 for j in range(wp.max(0, radius - y), wp.min(shifts, height + radius - y)):
                     for i in range(wp.max(0, radius - x), wp.min(shifts, width + radius - x)):
-                        rows_out[b, y, j, i] += value * images[b, 1, y + j - radius, x + i - radius]
+                        other = images[b, 1, y + j - radius, x + i - radius]
+                        rows_out[b, y, j, i] = rows_out[b, y, j, i] + value * other
 
     return correlate_rows
 
 
 @cache
-def make_add_rows(dtype: type) -> wp.Kernel:
+def make_add_rows(dtype: type, block: int) -> wp.Kernel:
     """Build the sum over rows; launch: one thread per block of shifts."""
-    vec_block = vector(BLOCK, dtype)
+    vec_block = vector(block, dtype)
 
-    @wp.kernel(module=module_of("motion", dtype))
+    @wp.kernel(module=module_of(f"motion_{block}", dtype))
     def add_rows(
         row_blocks: wp.array4d(dtype=vec_block),
         energy_rows: wp.array3d(dtype=dtype),
@@ -130,10 +152,10 @@ def make_add_rows(dtype: type) -> wp.Kernel:
         b, j, k = wp.tid()
         total = vec_block()
         for y in range(row_blocks.shape[1]):
-            total += row_blocks[b, y, j, BLOCK * k]
+            total += row_blocks[b, y, j, block * k]
         shifts = correlation_out.shape[2]
-        for i in range(wp.min(BLOCK, shifts - BLOCK * k)):
-            correlation_out[b, j, BLOCK * k + i] = total[i]
+        for i in range(wp.min(block, shifts - block * k)):
+            correlation_out[b, j, block * k + i] = total[i]
         if j == 0 and k == 0:
             for image in range(2):
                 energy = dtype(0.0)
@@ -150,25 +172,25 @@ def motion_correlation(
     """Launch the three passes; clips the images in place, overwrites the rest."""
     dtype, device = images_inout.dtype, images_inout.device
     batch, _, height, _ = images_inout.shape
-    blocks = neighbours(images_inout, BLOCK)
-    row_blocks = neighbours(rows_out, BLOCK)
+    block = block_of(device)
+    blocks, row_blocks = neighbours(images_inout, block), neighbours(rows_out, block)
     launch(
-        make_clip_rows(dtype),
+        make_clip_rows(dtype, block),
         (batch, 2, height),
         inputs=[blocks, clip],
         outputs=[images_inout, energy_rows_out],
         device=device,
     )
     launch(
-        make_correlate_rows(dtype),
+        make_correlate_rows(dtype, block),
         (batch, height),
         inputs=[images_inout, blocks, radius],
         outputs=[found_out, rows_out, row_blocks],
         device=device,
     )
     launch(
-        make_add_rows(dtype),
-        (batch, correlation_out.shape[1], rows_out.shape[3] // BLOCK),
+        make_add_rows(dtype, block),
+        (batch, correlation_out.shape[1], rows_out.shape[3] // block),
         inputs=[row_blocks, energy_rows_out],
         outputs=[correlation_out, energy_out],
         device=device,
@@ -194,7 +216,7 @@ def make_surface_peak(dtype: type) -> wp.Kernel:
                 rows_out[b, j, i] = dtype(0.0)
             for k in range(size):
                 for i in range(size):
-                    rows_out[b, j, i] += smoother[j, k] * surface[b, k, i]
+                    rows_out[b, j, i] = rows_out[b, j, i] + smoother[j, k] * surface[b, k, i]
         row = wp.int32(1)
         column = wp.int32(1)
         for j in range(size):

@@ -1,9 +1,9 @@
 """A recorded sequence of launches on the CPU, made in one launch.
 
-Each launch from Python takes some microseconds, and lets go of the GIL and waits for it again: seventy times a
-window, for which two threads wait for each other.  One kernel that calls the others in turn does so once.
-Warp's graphs do the same, but while one thread captures a graph on the CPU, the launches of every other thread
-are taken for part of it.
+Each launch from Python takes some microseconds, and lets go of the GIL and waits for it again: seventy times
+a window, for which two threads wait for each other.  One kernel that calls the others in turn does so once.
+Warp's graphs do the same, but while one thread captures a graph on the CPU, the launches of every other
+thread are taken for part of it.
 """
 
 import ctypes
@@ -32,7 +32,9 @@ launch and to a structure of its arguments; with others, each step is launched b
             memset(where, 0, step[2]);
     }
 """)
-def run_steps(steps: wp.array(dtype=wp.uint64), count: int): ...
+def run_steps(steps: wp.array(dtype=wp.uint64), count: int):
+    """Call kernels by their addresses."""
+    ...
 
 
 @wp.kernel(module="unique", enable_backward=False)

@@ -43,7 +43,7 @@ def test_every_kernel_is_found():
     settings = json.loads(SCRIPT.with_suffix(".json").read_text())
     modules = portability.build(wp.float32, settings["variants"], {})
     built = {kernel.func.__name__ for module in modules for kernel in module.kernels.values()}
-    assert built == in_sources
+    assert built | settings["cpu_only"].keys() == in_sources
 
 
 @pytest.mark.parametrize(
