@@ -79,17 +79,6 @@ def region_around(
     return Region(float(low[0]), float(low[1]), cell, height, width)
 
 
-def events_near(window: Window, velocity: NDArray[np.float64], region: Region) -> Window:
-    """Keep the events of a window that can reach a region: the others are dropped once for all."""
-    reach = 0.5 * window.seconds * np.abs(velocity) + 3.0 * region.cell
-    return window.keep(
-        (window.x > region.x - reach[0])
-        & (window.x < region.x + region.width * region.cell + reach[0])
-        & (window.y > region.y - reach[1])
-        & (window.y < region.y + region.height * region.cell + reach[1])
-    )
-
-
 class Deposit(Step):
     """Events, transported to the middle of their window, on cells (1, 2, height, width)."""
 

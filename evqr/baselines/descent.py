@@ -39,7 +39,7 @@ from evqr.decode import Decoded, decode_grid
 from evqr.initial.finder import find_hypotheses, find_peaks
 from evqr.initial.pose import screen
 from evqr.model import QUIET_MODULES
-from evqr.region import Region, events_near, module_px, outline
+from evqr.region import Region, module_px, outline
 from evqr.solver import Solver, StageClock
 from evqr.windows import Window
 from evqr.workspace import Workspace
@@ -279,7 +279,7 @@ class Problem:
         self.motion: NDArray[np.float64] = velocity * window.seconds
         self.affine: NDArray[np.float64] = np.zeros((2, 3))
         self.affine[:, :2] = np.linalg.inv(pose)[:2, :2] * self._unit
-        near = events_near(window, velocity, region)
+        near = _events_near(window, velocity, region)
         put = self._put
         window_ptr = workspace.put(np.array([0, len(near)], np.int32))
         t = near.t / window.seconds
@@ -427,3 +427,14 @@ class Problem:
             adj_affine,
         )
         return self._workspace.get(adj_grid)[0], self._workspace.get(adj_affine)[0].astype(np.float64)
+
+
+def _events_near(window: Window, velocity: NDArray[np.float64], region: Region) -> Window:
+    """Keep the events of a window that can reach a region: the others are dropped once for all."""
+    reach = 0.5 * window.seconds * np.abs(velocity) + 3.0 * region.cell
+    return window.keep(
+        (window.x > region.x - reach[0])
+        & (window.x < region.x + region.width * region.cell + reach[0])
+        & (window.y > region.y - reach[1])
+        & (window.y < region.y + region.height * region.cell + reach[1])
+    )
