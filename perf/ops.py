@@ -78,9 +78,7 @@ def _splat_adjoint(size: Size, rng, dtype, parameters: int) -> Problem:
     outputs = [chunks, np.zeros(count, dtype), np.zeros((size.batch, parameters), dtype)]
     inputs = [*problem.inputs, _image(size, rng, dtype)]
     madds = count * (2 * 16 * taps + 3 * taps**2 + 7 * taps)
-    return Problem(
-        "splat_events_adjoint", inputs, outputs, count, madds, "event", tail=(SPLAT,), scratch=1
-    )
+    return Problem("splat_events_adjoint", inputs, outputs, count, madds, "event", tail=(SPLAT,), scratch=1)
 
 
 def splat_events_adjoint(size: Size, rng, dtype) -> Problem:
@@ -101,9 +99,7 @@ def deposit_events_adjoint(size: Size, rng, dtype) -> Problem:
     events, _, frame = _transported(size, rng, dtype)
     count, adj = len(events[0]), _image(size, rng, dtype, 2)
     inputs = [*events, *frame, adj]
-    return Problem(
-        "deposit_events_adjoint", inputs, [np.zeros(count, dtype)], count, 12 * count, "event"
-    )
+    return Problem("deposit_events_adjoint", inputs, [np.zeros(count, dtype)], count, 12 * count, "event")
 
 
 def _lag(size: Size, rng, dtype) -> list:
@@ -164,7 +160,10 @@ def clip_outliers(size: Size, rng, dtype) -> Problem:
 
 def reduce_image(size: Size, rng, dtype, ratio: float = 1.25) -> Problem:
     image, coarse = _image(size, rng, dtype), -int(-size.side // ratio)
-    outputs = [np.zeros((size.batch, coarse, size.side), dtype), np.zeros((size.batch, coarse, coarse), dtype)]
+    outputs = [
+        np.zeros((size.batch, coarse, size.side), dtype),
+        np.zeros((size.batch, coarse, coarse), dtype),
+    ]
     return Problem("reduce_image", [image, ratio], outputs, image.size, 4 * image.size, scratch=1)
 
 
@@ -194,9 +193,7 @@ def correlate_templates(size: Size, rng, dtype) -> Problem:
     ]
     pixels = batch * side**2
     madds = pixels * (5 * int(disc.sum()) + 45)
-    return Problem(
-        "correlate_templates", [*inputs, 0.0, 0.0], outputs, pixels, madds, scratch=3
-    )
+    return Problem("correlate_templates", [*inputs, 0.0, 0.0], outputs, pixels, madds, scratch=3)
 
 
 def local_maxima(size: Size, rng, dtype, most: int = 8) -> Problem:
@@ -311,9 +308,7 @@ def align_poses(size: Size, rng, dtype, iterations: int = 5) -> Problem:
     outputs = [start.astype(dtype), np.zeros((size.batch, 5), dtype)]
     samples = size.batch * len(points) * (iterations + 1)
     madds = samples * (COLUMNS + 18)
-    return Problem(
-        "align_poses", [*inputs, iterations], outputs, samples, madds, "sample", inout=0
-    )
+    return Problem("align_poses", [*inputs, iterations], outputs, samples, madds, "sample", inout=0)
 
 
 def pose_normal_equations(size: Size, rng, dtype) -> Problem:
@@ -484,9 +479,7 @@ def cost(size: Size, rng, dtype) -> Problem:
     results = [*splat_adjoint.outputs[1:], *render_adjoint.outputs[1:], residual_adjoint.outputs[2]]
     inputs = [*splat.inputs, *render.inputs, residual.inputs[2]]
     madds = sum(part.madds for part in parts)
-    return Problem(
-        "cost", inputs, [*scratch, *results], splat.items, madds, "event", scratch=7, run=run_cost
-    )
+    return Problem("cost", inputs, [*scratch, *results], splat.items, madds, "event", scratch=7, run=run_cost)
 
 
 def run_cost(backend: KernelBackend, op: str, problem: Problem, inputs: list, outputs: list) -> None:
@@ -502,9 +495,7 @@ def run_cost(backend: KernelBackend, op: str, problem: Problem, inputs: list, ou
         luminance, displacement, residual, rows, adj_luminance, adj_displacement
     )
     backend.splat_events_adjoint(*events, residual, chunks, adj_weight, adj_motion, SPLAT)
-    backend.render_code_adjoint(
-        grid, to_grid, outside, sigma, adj_luminance, map_rows, adj_grid, adj_map
-    )
+    backend.render_code_adjoint(grid, to_grid, outside, sigma, adj_luminance, map_rows, adj_grid, adj_map)
 
 
 PROBLEMS: dict[str, Callable[..., Problem]] = {

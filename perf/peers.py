@@ -60,9 +60,7 @@ def render_scipy(problem: Problem) -> Run:
     def run() -> list[Any]:
         for b, picture in enumerate(image):
             u, v = _places(to_grid[b], len(picture))
-            map_coordinates(
-                grid[b], [v, u], output=picture, order=1, mode="grid-constant", cval=outside[b]
-            )
+            map_coordinates(grid[b], [v, u], output=picture, order=1, mode="grid-constant", cval=outside[b])
         return [image]
 
     return run

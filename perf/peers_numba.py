@@ -43,7 +43,9 @@ def bin_events(problem: Problem) -> Callable[[], list[Any]]:
     return run
 
 
-def _splat_events(x, y, t, weight, window_ptr, motion, lag, frame, image, gauss_at, variance, radius_sq, taps):
+def _splat_events(
+    x, y, t, weight, window_ptr, motion, lag, frame, image, gauss_at, variance, radius_sq, taps
+):
     one, half = x.dtype.type(1.0), x.dtype.type(0.5)
     reach, height, width = len(gauss_at) // 2, image.shape[1], image.shape[2]
     for b in range(len(window_ptr) - 1):
@@ -55,7 +57,9 @@ def _splat_events(x, y, t, weight, window_ptr, motion, lag, frame, image, gauss_
                 (x[e] - t[e] * vx - frame[b, 0] + half) * inverse_scale - half,
                 (y[e] - t[e] * vy - frame[b, 1] + half) * inverse_scale - half,
             )
-            if not (c[0] > -reach - 1 and c[1] > -reach - 1 and c[0] < width + reach and c[1] < height + reach):
+            if not (
+                c[0] > -reach - 1 and c[1] > -reach - 1 and c[0] < width + reach and c[1] < height + reach
+            ):
                 continue
             column, row = int(math.floor(c[0] + half)), int(math.floor(c[1] + half))
             for axis in range(2):

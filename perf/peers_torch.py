@@ -182,7 +182,9 @@ def cost(problem: Problem) -> Run:
         splatted = torch.zeros(image.numel(), dtype=shares.dtype).scatter_add_(0, flat, shares)
         luminance = _render(grid, to_grid, outside, *image.shape[1:])
         m = displacement[:, :, None, None]
-        residual = m[:, 0] * _slope(luminance, 2) + m[:, 1] * _slope(luminance, 1) + splatted.view(image.shape)
+        residual = (
+            m[:, 0] * _slope(luminance, 2) + m[:, 1] * _slope(luminance, 1) + splatted.view(image.shape)
+        )
         return list(torch.autograd.grad(0.5 * (residual * residual).sum(), wanted))
 
     return run
