@@ -24,7 +24,7 @@ PEER_RATIOS = {
 #: An adjoint takes at most 2.5 times as long as its operation.
 ADJOINT_RATIO = 1 / 2.5
 
-#: Two threads with data of their own against one; and Taichi against Warp, both on two threads: within 1.5 times.
+#: Two threads with data of their own against one; Taichi within 1.5 times of Warp, both on two threads.
 THREADED = ("splat_events", "splat_events_adjoint", "render_code", "render_code_adjoint", "cost")
 TWO_THREADS_RATIO = 1.8
 TAICHI_RATIO = 1 / 1.5

@@ -170,10 +170,9 @@ def time_threads(op: str, target: Target, rounds: int) -> list[Row]:
         else:
             times = timing.interleaved(contestants, rounds)
     gain = [2 * one / two for one, two in zip(times["1"], times["2"], strict=True)]
-    required = {"required": cases.TWO_THREADS_RATIO} if target.judged else {}
-    rows = [row("threads", "production", op, "2 threads / 1", gain, **required)]
+    rows = [row("threads", "production", op, "2 threads / 1", gain, required=cases.TWO_THREADS_RATIO)]
     if taichi:
         pairs = [two / other for two, other in zip(times["2"], times["taichi"], strict=True)]
-        required = {"required": round(cases.TAICHI_RATIO, 3)} if target.judged else {}
-        rows.append(row("threads", "production", op, "warp / taichi, both on 2", pairs, **required))
+        required = round(cases.TAICHI_RATIO, 3)
+        rows.append(row("threads", "production", op, "warp / taichi, both on 2", pairs, required=required))
     return rows

@@ -160,10 +160,8 @@ def clip_outliers(size: Size, rng, dtype) -> Problem:
 
 def reduce_image(size: Size, rng, dtype, ratio: float = 1.25) -> Problem:
     image, coarse = _image(size, rng, dtype), -int(-size.side // ratio)
-    outputs = [
-        np.zeros((size.batch, coarse, size.side), dtype),
-        np.zeros((size.batch, coarse, coarse), dtype),
-    ]
+    shapes = (size.batch, coarse, size.side), (size.batch, coarse, coarse)
+    outputs = [np.zeros(shape, dtype) for shape in shapes]
     return Problem("reduce_image", [image, ratio], outputs, image.size, 4 * image.size, scratch=1)
 
 
@@ -271,7 +269,7 @@ def sample_moments_adjoint(size: Size, rng, dtype) -> Problem:
 
 
 def _terms(perspective: bool = False) -> tuple[np.ndarray, np.ndarray]:
-    """What the parameters' derivatives are made of, for a table in the order of `align_poses`."""
+    """Say what the parameters' derivatives are made of, for a table in the order of `align_poses`."""
     rows = [[(w, 1), (6 + w, 2)] for w in range(3)] + [[(6 + w, 1), (12 + w, 2)] for w in range(3)]
     if perspective:
         rows += [[(3 + k, 1), (9 + k, 2), (10 + k, 1), (16 + k, 2)] for k in range(2)]
@@ -281,7 +279,7 @@ def _terms(perspective: bool = False) -> tuple[np.ndarray, np.ndarray]:
 
 
 def align_poses(size: Size, rng, dtype, iterations: int = 5) -> Problem:
-    """A smooth model seen through known poses, from a third of a module beside them."""
+    """Take a smooth model seen through known poses, from a third of a module beside them."""
     points, middle = _points(size), size.modules / 2
     u, v = ((points - middle) / middle).T
     table = np.zeros((len(points), COLUMNS))
@@ -323,7 +321,7 @@ def pose_normal_equations(size: Size, rng, dtype) -> Problem:
 
 
 def _rhs(size: Size, rng, dtype) -> tuple[list, list, int, float]:
-    """Inputs, outputs, samples and multiply-adds of the right-hand side of stage two."""
+    """Give inputs, outputs, samples and multiply-adds of the right-hand side of stage two."""
     per, modules = SAMPLES_A_MODULE, size.modules
     count = modules * per
     lattice = ((np.arange(count) + 0.5) / per).astype(dtype)

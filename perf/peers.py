@@ -1,4 +1,4 @@
-"""What others offer for the same computations, on one thread: numba, torch, SciPy, OpenCV and event libraries.
+"""What others offer for the same computations, on one thread: numba, torch, SciPy, OpenCV, event libraries.
 
 A function prepares a rival for a problem, which is not timed, and gives what runs it; the result is what the
 problem's outputs, scratch left out, are after one call.  Where a problem adds to its output a rival may do so
@@ -8,6 +8,7 @@ too.  `PEERS` says what each needs to be installed.
 from __future__ import annotations
 
 import importlib.util
+import itertools
 from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Any
@@ -94,7 +95,7 @@ def _integer_events(problem: Problem) -> list[tuple[np.ndarray, ...]]:
     """Give column, row and polarity of each window's events, for libraries of sensors' events."""
     x, y, weight, window_ptr, _ = problem.inputs
     column, row = (np.floor(position + 0.5).astype(np.int16) for position in (x, y))
-    parts = zip(window_ptr[:-1], window_ptr[1:], strict=True)
+    parts = itertools.pairwise(window_ptr)
     return [(column[a:b], row[a:b], weight[a:b] > 0) for a, b in parts]
 
 
@@ -120,7 +121,7 @@ def bin_dv(problem: Problem) -> Run:
 
 
 def bin_eventcv(problem: Problem) -> Run:
-    """It counts without a sign: ON and OFF events are told apart before, untimed."""
+    """Take the difference of counts of ON and of OFF events, which are told apart before, untimed."""
     import eventcv
 
     side = problem.outputs[0].shape[-1]
@@ -138,7 +139,7 @@ def bin_eventcv(problem: Problem) -> Run:
 
 
 def bin_evlib(problem: Problem) -> Run:
-    """It gives a table of the pixels that have events, which is brought to an image here."""
+    """Make an image of the table of pixels that it gives."""
     import evlib.representations
     import polars
 

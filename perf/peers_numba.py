@@ -1,4 +1,4 @@
-"""The kernels' loops in numba, one thread, with the same licence to reorder sums as the kernels' compiler has.
+"""The kernels' loops in numba, one thread; its compiler may reorder sums, as that of the kernels may.
 
 numba is imported when a peer is prepared: it need not be installed.
 """
@@ -61,7 +61,7 @@ def _splat_events(
                 c[0] > -reach - 1 and c[1] > -reach - 1 and c[0] < width + reach and c[1] < height + reach
             ):
                 continue
-            column, row = int(math.floor(c[0] + half)), int(math.floor(c[1] + half))
+            column, row = math.floor(c[0] + half), math.floor(c[1] + half)
             for axis in range(2):
                 f = c[axis] - (column if axis == 0 else row)
                 up = math.exp(f / variance)
@@ -116,7 +116,7 @@ def _render_code(grid, to_grid, outside, image):
                 u, v = w[0] * grid.dtype.type(x) + at_u, w[3] * grid.dtype.type(x) + at_v
                 value = beyond
                 if u > -1 and v > -1 and u < columns and v < rows:
-                    i, j = int(math.floor(u)), int(math.floor(v))
+                    i, j = math.floor(u), math.floor(v)
                     f, g = u - grid.dtype.type(i), v - grid.dtype.type(j)
                     if i >= 0 and j >= 0 and i + 1 < columns and j + 1 < rows:
                         above = (one - f) * grid[b, j, i] + f * grid[b, j, i + 1]

@@ -26,9 +26,9 @@ ours: more than 1 is faster.  --base compares with a saved run.  Exit 1 when a r
 
 import os
 
-# before they are imported: one thread is timed
-for name in ("OPENBLAS_NUM_THREADS", "RAYON_NUM_THREADS", "POLARS_MAX_THREADS"):
-    os.environ[name] = "1"
+os.environ["OPENBLAS_NUM_THREADS"] = "1"  # before NumPy is imported: one thread is timed
+os.environ["RAYON_NUM_THREADS"] = "1"
+os.environ["POLARS_MAX_THREADS"] = "1"
 
 import argparse
 import sys
@@ -76,7 +76,7 @@ def time_ops(arguments: argparse.Namespace, about: dict[str, str]) -> list[Row]:
     rounds = arguments.rounds or 15
     about["backend"] = f"{target.backend}, {target.dtype}"
     about["limits"] = (
-        f"one thread copies {limits.copy_rate(limits.LARGE) / 1e9:.1f} GB/s (read and written, in no cache) and "
+        f"one thread copies {limits.copy_rate(limits.LARGE) / 1e9:.1f} GB/s (in no cache) and "
         f"does {limits.madd_rate(target.dtype) / 1e9:.1f} thousand million multiply-adds a second"
     )
     about["not there"] = op_times.skipped(names)
@@ -109,7 +109,7 @@ def main() -> int:
     parser.add_argument(
         "--backend", choices=("numpy", "warp", "taichi"), default="warp", help="of operations"
     )
-    parser.add_argument("--dtype", choices=("float32", "float64"), default="float32", help="of operations")
+    parser.add_argument("--dtype", choices=("float32", "float64"), default="float32")
     parser.add_argument("--rounds", type=int)
     parser.add_argument("--format", choices=("human", "csv", "json"), default="human")
     parser.add_argument("--device", default="cpu")

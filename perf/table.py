@@ -12,8 +12,8 @@ from pathlib import Path
 import machine
 
 Row = dict[str, str | float | int]
-"""Columns: part, case, method, stage, median, lower and upper quartile, n, required, read; rows of operations have
-more, and with an earlier run to compare with, ``base`` is that run's median over this one's."""
+"""Columns: part, case, method, stage, median, lower and upper quartile, n, required, read; rows of operations
+have more, and with an earlier run to compare with, ``base`` is that run's median over this one's."""
 
 KEY = ("part", "case", "method", "stage")
 
@@ -79,7 +79,8 @@ def as_human(about: dict[str, str], rows: list[Row]) -> str:
             head = f"{part:18s} {'method':{wide}s} {'stage':22s} {'median':>8s}   {'quartiles':>17s}     n"
             lines.append("\n" + head + (_OP_HEAD if "rate" in r else ""))
         spread = f"{r['lower']:8.2f} {r['upper']:8.2f}"
-        line = f"{r['case']:18s} {r['method']:{wide}s} {r['stage']:22s} {r['median']:8.2f}   {spread} {r['n']:5d}"
+        line = f"{r['case']:18s} {r['method']:{wide}s} {r['stage']:22s} {r['median']:8.2f}"
+        line += f"   {spread} {r['n']:5d}"
         line += _of_operation(r) if "rate" in r else ""
         if r["read"]:
             line += f"   read {r['read']}"
@@ -100,9 +101,8 @@ def _of_operation(r: Row) -> str:
     """Compile time, first launch, throughput and share of what bounds it; rivals have the throughput only."""
     if r["share"] == "":
         return f"{'':19s}  {r['rate']:9.2f}"
-    first = "".join(
-        f"{value:10.2f}" if value != "" else f"{'':10s}" for value in (r["compile s"], r["first ms"])
-    )
+    once = (r["compile s"], r["first ms"])
+    first = "".join(f"{value:10.2f}" if value != "" else f"{'':10s}" for value in once)
     return f"{first} {r['rate']:9.2f} {r['share']:8.1%} of {r['bound']}, {r['unit']}s"
 
 

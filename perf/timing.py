@@ -1,4 +1,4 @@
-"""Times of several contestants, one after the other in random order, so that a slow moment slows all alike."""
+"""Times of several contestants, one after the other in random order: a slow moment slows all alike."""
 
 from __future__ import annotations
 
