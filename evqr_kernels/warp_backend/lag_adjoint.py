@@ -137,20 +137,20 @@ def make_lag_gather(dtype: type, block: int) -> wp.Function:
     ):
         size = taps.shape[1]
         reach = size // 2
-        # of cells within the row
-        first = wp.max(x + reach + 1 - row_blocks.shape[3], 0)
-        last = wp.min(size, x + reach + 1)
         on = vec_block()
         off = vec_block()
         for n in range(deposit_idx.shape[0]):
             if deposit_idx[n] == b:
                 plain = vec_block()
                 slope = vec_block()
-                for i in range(first, last):
-                    along = row_blocks[n, 0, y, x + reach - i]
-                    across = row_blocks[n, 1, y, x + reach - i]
-                    plain += taps[0, i] * along
-                    slope += (direction[n, 0] * taps[1, i]) * along + (direction[n, 1] * taps[0, i]) * across
+                for i in range(size):
+                    column = x + reach - i
+                    # blocks do not look beyond their row
+                    if wp.static(block > 1) or (column >= 0 and column < row_blocks.shape[3]):
+                        along = row_blocks[n, 0, y, column]
+                        plain += taps[0, i] * along
+                        slope += (direction[n, 0] * taps[1, i]) * along
+                        slope += (direction[n, 1] * taps[0, i]) * row_blocks[n, 1, y, column]
                 on += plain - lag[n, 0] * slope
                 off += plain - lag[n, 1] * slope
         return on, off
@@ -181,14 +181,16 @@ def make_lag_rows_adjoint(dtype: type, block: int) -> wp.Kernel:
         adj_blocks_out: wp.array4d(dtype=vec_block),
     ):
         b, y, k = wp.tid()
-        reach = taps.shape[1] // 2
-        if k == 0:
-            for i in range(2 * reach):
-                edge = wp.where(i < reach, i, adj_cells_out.shape[3] - 1 - (i - reach))
-                on_cell, off_cell = gather_cell(row_cells, deposit_idx, direction, lag, taps, b, y, edge)
-                adj_cells_out[b, 0, y, edge] = on_cell
-                adj_cells_out[b, 1, y, edge] = off_cell
-        x = wp.min(reach + block * k, adj_blocks_out.shape[3] - 1 - reach)
+        x = k
+        if wp.static(block > 1):
+            reach = taps.shape[1] // 2
+            if k == 0:
+                for i in range(2 * reach):
+                    edge = wp.where(i < reach, i, adj_cells_out.shape[3] - 1 - (i - reach))
+                    on_cell, off_cell = gather_cell(row_cells, deposit_idx, direction, lag, taps, b, y, edge)
+                    adj_cells_out[b, 0, y, edge] = on_cell
+                    adj_cells_out[b, 1, y, edge] = off_cell
+            x = wp.min(reach + block * k, adj_blocks_out.shape[3] - 1 - reach)
         on, off = gather_block(row_blocks, deposit_idx, direction, lag, taps, b, y, x)
         adj_blocks_out[b, 0, y, x] = on
         adj_blocks_out[b, 1, y, x] = off
@@ -214,7 +216,7 @@ def lag_operator_adjoint(deposit_idx, direction, lag, taps, adj_image, rows_out,
     )
     launch(
         make_lag_rows_adjoint(dtype, block),
-        (count, height, blocks),
+        (count, height, blocks if block > 1 else width),
         inputs=[neighbours(rows_out, 1), rows, deposit_idx, direction, lag, taps],
         outputs=[neighbours(adj_deposit_out, 1), neighbours(adj_deposit_out, block)],
         device=device,

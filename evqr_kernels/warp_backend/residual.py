@@ -11,7 +11,7 @@ the border by minus the border's own value:
     adj_E        = a
 
 A thread takes a row by blocks of neighbouring pixels, which is what a CPU's vector units want; its first
-pixel, and the last ones where no block with a neighbour on either side fits, one by one.
+pixel, and the last ones where no block with a neighbour on either side fits, one by one, as all are on a GPU.
 """
 
 from functools import cache
@@ -59,16 +59,18 @@ def make_brightness_residual(dtype: type, block: int) -> wp.Kernel:
     ):
         b, y = wp.tid()
         width = luminance.shape[2]
-        above = wp.max(y - 1, 0)
-        below = wp.min(y + 1, luminance.shape[1] - 1)
-        half_x = dtype(0.5) * motion[b, 0]
-        half_y = dtype(0.5) * motion[b, 1]
-        blocks = wp.max(width - 2, 0) // block
-        for k in range(blocks):
-            x = 1 + block * k
-            along_x = luminance_blocks[b, y, x + 1] - luminance_blocks[b, y, x - 1]
-            along_y = luminance_blocks[b, below, x] - luminance_blocks[b, above, x]
-            residual_blocks_out[b, y, x] = half_x * along_x + half_y * along_y + events_blocks[b, y, x]
+        blocks = wp.int32(0)
+        if wp.static(block > 1):
+            above = wp.max(y - 1, 0)
+            below = wp.min(y + 1, luminance.shape[1] - 1)
+            half_x = dtype(0.5) * motion[b, 0]
+            half_y = dtype(0.5) * motion[b, 1]
+            blocks = wp.max(width - 2, 0) // block
+            for k in range(blocks):
+                x = 1 + block * k
+                along_x = luminance_blocks[b, y, x + 1] - luminance_blocks[b, y, x - 1]
+                along_y = luminance_blocks[b, below, x] - luminance_blocks[b, above, x]
+                residual_blocks_out[b, y, x] = half_x * along_x + half_y * along_y + events_blocks[b, y, x]
         for i in range(width - block * blocks):
             x = wp.where(i == 0, 0, block * blocks + i)
             dx, dy = slopes(luminance, b, y, x)
@@ -119,33 +121,33 @@ def make_brightness_residual_adjoint(dtype: type, block: int) -> wp.Kernel:
     ):
         b, y = wp.tid()
         width = luminance.shape[2]
-        above = wp.max(y - 1, 0)
-        below = wp.min(y + 1, luminance.shape[1] - 1)
-        half_x = dtype(0.5) * motion[b, 0]
-        from_above = dtype(0.5) * motion[b, 1]
-        from_below = -from_above
-        if y == 0:
-            from_above = -from_above
-        if y == luminance.shape[1] - 1:
-            from_below = -from_below
-        sums_x = vec_block()
-        sums_y = vec_block()
-        blocks = wp.max(width - 2, 0) // block
-        for k in range(blocks):
-            x = 1 + block * k
-            adj = adj_blocks[b, y, x]
-            sums_x += wp.cw_mul(adj, luminance_blocks[b, y, x + 1] - luminance_blocks[b, y, x - 1])
-            sums_y += wp.cw_mul(adj, luminance_blocks[b, below, x] - luminance_blocks[b, above, x])
-            along_x = adj_blocks[b, y, x - 1] - adj_blocks[b, y, x + 1]
-            along_y = from_above * adj_blocks[b, above, x] + from_below * adj_blocks[b, below, x]
-            adj_luminance_blocks_out[b, y, x] = half_x * along_x + along_y
         adj_x = dtype(0.0)
         adj_y = dtype(0.0)
-        for k in range(wp.static(block)):
-            adj_x += sums_x[k]
-            adj_y += sums_y[k]
-        adj_x *= dtype(0.5)
-        adj_y *= dtype(0.5)
+        blocks = wp.int32(0)
+        if wp.static(block > 1):
+            above = wp.max(y - 1, 0)
+            below = wp.min(y + 1, luminance.shape[1] - 1)
+            half_x = dtype(0.5) * motion[b, 0]
+            from_above = dtype(0.5) * motion[b, 1]
+            from_below = -from_above
+            if y == 0:
+                from_above = -from_above
+            if y == luminance.shape[1] - 1:
+                from_below = -from_below
+            sums_x = vec_block()
+            sums_y = vec_block()
+            blocks = wp.max(width - 2, 0) // block
+            for k in range(blocks):
+                x = 1 + block * k
+                adj = adj_blocks[b, y, x]
+                sums_x += wp.cw_mul(adj, luminance_blocks[b, y, x + 1] - luminance_blocks[b, y, x - 1])
+                sums_y += wp.cw_mul(adj, luminance_blocks[b, below, x] - luminance_blocks[b, above, x])
+                along_x = adj_blocks[b, y, x - 1] - adj_blocks[b, y, x + 1]
+                along_y = from_above * adj_blocks[b, above, x] + from_below * adj_blocks[b, below, x]
+                adj_luminance_blocks_out[b, y, x] = half_x * along_x + along_y
+            for k in range(wp.static(block)):
+                adj_x += dtype(0.5) * sums_x[k]
+                adj_y += dtype(0.5) * sums_y[k]
         for i in range(width - block * blocks):
             x = wp.where(i == 0, 0, block * blocks + i)
             dx, dy = slopes(luminance, b, y, x)
