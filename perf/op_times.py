@@ -5,6 +5,7 @@ No operation is timed before it, and each rival of it, agree with the NumPy spec
 
 from __future__ import annotations
 
+import contextlib
 import importlib.util
 import sys
 from concurrent.futures import ThreadPoolExecutor
@@ -150,29 +151,30 @@ def _exponent(items: list[int], values: list[float] | np.ndarray) -> float:
 def time_threads(op: str, target: Target, rounds: int) -> list[Row]:
     """Time one thread against two with data of their own, and against Taichi on two cores.
 
-    Taichi shares out one batch of twice the size among its own threads.
+    Beside them runs what shares nothing, multiply-adds in registers: less than 2 there is what the machine
+    has not to give.  Taichi shares out one batch of twice the size among its own threads.
     """
     size = SIZES["production"]
-    both = [target.prepare(op, size) for _ in range(2)]
-    taichi = any(map(importlib.util.find_spec, ("taichi", "quadrants")))
-    with ThreadPoolExecutor(2) as pool:
-        runs = [prepared.__call__ for prepared in both]
+    runs = [target.prepare(op, size).__call__ for _ in range(2)]
+    control = [limits.multiply_adds(target.dtype) for _ in range(2)]
+    with ThreadPoolExecutor(2) as pool, contextlib.ExitStack() as stack:
         contestants = {
             "1": timing.measured_together(runs[:1], pool),
             "2": timing.measured_together(runs, pool),
+            "control 1": timing.measured_together(control[:1], pool),
+            "control 2": timing.measured_together(control, pool),
         }
-        if taichi:
-            twice = replace(size, batch=2 * size.batch)
-            two = {"TI_CPU_MAX_NUM_THREADS": "2"}
-            with contestant("taichi", target.device, op, target.dtype, twice, **two) as process:
-                contestants["taichi"] = process.measure
-                times = timing.interleaved(contestants, rounds)
-        else:
-            times = timing.interleaved(contestants, rounds)
-    gain = [2 * one / two for one, two in zip(times["1"], times["2"], strict=True)]
-    rows = [row("threads", "production", op, "2 threads / 1", gain, required=cases.TWO_THREADS_RATIO)]
-    if taichi:
-        pairs = [two / other for two, other in zip(times["2"], times["taichi"], strict=True)]
-        required = round(cases.TAICHI_RATIO, 3)
-        rows.append(row("threads", "production", op, "warp / taichi, both on 2", pairs, required=required))
+        if any(map(importlib.util.find_spec, ("taichi", "quadrants"))):
+            twice, two = replace(size, batch=2 * size.batch), {"TI_CPU_MAX_NUM_THREADS": "2"}
+            process = contestant("taichi", target.device, op, target.dtype, twice, **two)
+            contestants["taichi"] = stack.enter_context(process).measure
+        times = {name: np.array(values) for name, values in timing.interleaved(contestants, rounds).items()}
+
+    def of(name: str, ratio: np.ndarray, required: float | str) -> Row:
+        return row("threads", "production", op, name, ratio.tolist(), required=required)
+
+    rows = [of("2 threads / 1", 2 * times["1"] / times["2"], cases.TWO_THREADS_RATIO)]
+    rows.append(of("multiply-adds, 2 / 1", 2 * times["control 1"] / times["control 2"], ""))
+    if "taichi" in times:
+        rows.append(of("warp / taichi, on 2", times["2"] / times["taichi"], round(cases.TAICHI_RATIO, 3)))
     return rows

@@ -73,7 +73,7 @@ def time_ops(arguments: argparse.Namespace, about: dict[str, str]) -> list[Row]:
     names = list(ops.PROBLEMS) if "all" in arguments.op else arguments.op
     wanted = arguments.case or OP_CASES[1:]
     target = op_times.Target(arguments.backend, arguments.device, arguments.dtype)
-    rounds = arguments.rounds or 15
+    rounds = arguments.rounds or 11
     about["backend"] = f"{target.backend}, {target.dtype}"
     about["limits"] = (
         f"one thread copies {limits.copy_rate(limits.LARGE) / 1e9:.1f} GB/s (in no cache) and "

@@ -9,7 +9,6 @@ import json
 import statistics
 from pathlib import Path
 
-import machine
 
 Row = dict[str, str | float | int]
 """Columns: part, case, method, stage, median, lower and upper quartile, n, required, read; rows of operations
@@ -111,6 +110,6 @@ def save(device: str, about: dict[str, str], rows: list[Row]) -> Path:
     date = datetime.date.today().isoformat()
     folder = Path(__file__).parent / "results" / device.replace(":", "-")
     folder.mkdir(parents=True, exist_ok=True)
-    path = folder / f"{date}-{machine.commit()}.csv"
+    path = folder / f"{date}-{about['commit']}.csv"
     path.write_text(as_csv(about, rows))
     return path
