@@ -224,6 +224,7 @@ def match_corners(size: Size, rng, dtype, count: int = 48, most: int = 3) -> Pro
         ],
         axis=-1,
     ).astype(dtype)
+    peaks[:, :3, 1:] = [[20, 20, 4, 0], [76, 20, 4, 0], [20, 76, 4, 0]]  # a code of 21 modules
     tolerances = np.array([0.2, 0.16, 0.24, np.log(14.0), np.log(170.0)], dtype)
     outputs = [np.zeros((size.batch, count, count), np.int32), np.zeros((size.batch, count, count, 3), dtype)]
     outputs += [np.zeros((size.batch, count, most, 4), dtype)]
@@ -351,12 +352,12 @@ def code_normal_equations(size: Size, rng, dtype) -> Problem:
 def _system(size: Size, rng, dtype) -> tuple[list, np.ndarray]:
     """rhs, stencil, damping and free modules of a positive definite system, and where to start."""
     batch, modules, side = size.batch, size.modules, 2 * REACH + 1
+    free = (rng.random((modules, modules)) < 0.7).astype(np.int32)
     taps = rng.normal(size=(batch, REACH + 1, REACH + 1))
     stencil = np.zeros((batch, side, side))
     for j, i in np.ndindex(REACH + 1, REACH + 1):
         part = taps[:, j, i, None, None] * taps[:, ::-1, ::-1]
         stencil[:, j : j + REACH + 1, i : i + REACH + 1] += part
-    free = (rng.random((modules, modules)) < 0.7).astype(np.int32)
     rhs, start = rng.normal(size=(2, batch, modules, modules)).astype(dtype)
     damping = np.full(batch, 5.0, dtype)
     return [rhs, stencil.astype(dtype), damping, free], start

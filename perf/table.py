@@ -9,7 +9,6 @@ import json
 import statistics
 from pathlib import Path
 
-
 Row = dict[str, str | float | int]
 """Columns: part, case, method, stage, median, lower and upper quartile, n, required, read; rows of operations
 have more, and with an earlier run to compare with, ``base`` is that run's median over this one's."""
