@@ -1,4 +1,33 @@
-"""Named cases, plain data: what is simulated and how many windows of it are timed."""
+"""Named cases, plain data: what is simulated, how many windows of it are timed, how large operations are."""
+
+#: Sizes for operations: windows in a batch, events of a window, sides of image [px] and code [modules].
+SIZES = {
+    "small": {"batch": 2, "events": 300, "side": 40, "modules": 21},
+    "production": {"batch": 8, "events": 20_000, "side": 256, "modules": 33},
+}
+
+#: What the sweep sets instead, one at a time, for operations whose number of items it changes.
+SWEEP = {
+    "events": (5_000, 10_000, 20_000, 40_000, 80_000),
+    "side": (128, 180, 256, 362, 512),
+    "modules": (17, 25, 33, 49, 65),
+    "batch": (2, 4, 8, 16, 32),
+}
+
+#: What operations must reach against others in the same run, on one thread in float32: times as fast.
+PEER_RATIOS = {
+    ("splat_events", "numba"): 1.0,
+    ("render_code", "numba"): 1.0,
+    ("cost", "torch autograd"): 4.0,
+}
+
+#: An adjoint takes at most 2.5 times as long as its operation.
+ADJOINT_RATIO = 1 / 2.5
+
+#: Two threads with data of their own against one; Taichi within 1.5 times of Warp, both on two threads.
+THREADED = ("splat_events", "splat_events_adjoint", "render_code", "render_code_adjoint", "cost")
+TWO_THREADS_RATIO = 1.8
+TAICHI_RATIO = 1 / 1.5
 
 #: Scenes for the pipeline: arguments of `evqr.simulate.simulate`, and windows spread over the recording.
 PIPELINE = {

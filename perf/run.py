@@ -1,280 +1,137 @@
 #!/usr/bin/env python3
-"""Time the pipeline and its rivals side by side, and threads against each other.
+"""Time operations, the pipeline, threads, and their rivals, side by side.
 
-usage: run.py --pipeline [--threads] [--recordings DIR | --case NAME ...] [--rounds 3]
-              [--format human|csv|json] [--device cpu] [--save]
+usage: run.py --op NAME ...|all [--backend warp] [--device cpu] [--dtype float32] [--case NAME ...]
+       run.py --pipeline [--threads] [--recordings DIR | --case NAME ...] [--device cpu]
+       [--rounds N] [--format human|csv|json] [--save] [--base FILE]
 
+--op        operations (perf/ops.py) beside the same in numba, torch, SciPy, OpenCV and event libraries
+            (perf/peers.py), interleaved; an adjoint beside its operation.  Compilation, first launch and
+            steady state apart; throughput, and the share reached of what copies and multiply-adds allow
+            (perf/limits.py).  Cases: small, production; growth, the exponent of time over items; threads,
+            one thread against two, and against Taichi on two; by default all but small.
+            Required, Warp on one thread in float32: splat and render no slower than numba; adjoints at
+            most 2.5 times their operation; the cost with its gradients 4 times as fast as torch; two
+            threads 1.8 times one; Taichi within 1.5 times of Warp, both on two threads.
 --pipeline  per window: cold, tracked, and the rivals (perf/pipeline.py), interleaved, on simulated scenes
             (perf/cases.py) or on recordings that carry their truth; ratios from pairs on the same window.
             Required: cold no slower than (a) integrate; tracked 4 times as fast as (a) and 20 times as
             (b) descent.
 --threads   windows a second with one and with two threads.  Required: 1.7 times as many.
 
-No time is printed unless a known scene is read and the backend agrees with the NumPy specification on it.
-Exit 1 when a requirement is missed.
+No time is printed unless what is timed agrees with the NumPy specification: an operation and its rivals on
+a small problem, the pipeline on a known scene that must be read.  Ratios are medians of pairs, others over
+ours: more than 1 is faster.  --base compares with a saved run.  Exit 1 when a requirement is missed.
 """
 
 import os
 
 os.environ["OPENBLAS_NUM_THREADS"] = "1"  # before NumPy is imported: one thread is timed
+os.environ["RAYON_NUM_THREADS"] = "1"
+os.environ["POLARS_MAX_THREADS"] = "1"
 
 import argparse
-import csv
-import datetime
-import io
-import json
-import statistics
-import subprocess
 import sys
-import tempfile
-import time
 from pathlib import Path
 
 import cases
-import h5py
 import machine
-import numpy as np
-import pipeline
+import ops
+import table
+from table import Row
+from tqdm import tqdm
 
-from evqr import EventArray, ReadConfig, open_recording, read_codes, read_windows
-from evqr.region import outline
-from evqr.simulate import simulate
-from evqr.solver import Sighting, Solver
-from evqr.stage_two import solve_modules
-from evqr.windows import EventBuffer
-
-RATIOS = (("integrate", "cold", 1.0), ("integrate", "tracked", 4.0), ("descent", "tracked", 20.0))
-THREADS_RATIO = 1.7
-POSE_TOLERANCE_PX = 0.05  # float32 sums in another order move a converged pose by less
-CODE_TOLERANCE = 0.02
-
-Row = dict[str, str | float | int]
+OP_CASES = (*cases.SIZES, "growth", "threads")
 
 
-def check(device: str) -> float:
-    """Refuse to go on unless the backend is right; return how long the first window took [ms]."""
-    solvers = {"auto": Solver(device=device), "numpy": Solver(backend="numpy")}
-    events = simulate(**cases.GATE).events
-    buffer = EventBuffer(iter([events]))
-    start = int(events.t[0]) + 500
-    found = {}
-    for backend, solver in solvers.items():
-        begin = time.perf_counter()
-        motion = solver.motion_at(buffer, start)
-        seen = "no motion"
-        if motion is not None:
-            seen = solver.look(buffer.window(start, start + solver.window_us(motion.speed)), motion)
-        first_ms = 1e3 * (time.perf_counter() - begin)
-        if not isinstance(seen, Sighting):
-            sys.exit(f"gate: backend {backend} finds no code in the known scene: {seen}")
-        q = solve_modules(seen.equations, solver.config.stage_two, workspace=solver.workspace).q
-        found[backend] = (outline(seen.pose, seen.size), q, first_ms)
-    (corners, q, first_ms), (true_corners, true_q, _) = found["auto"], found["numpy"]
-    apart = float(np.abs(corners - true_corners).max())
-    differ = float(np.abs(q - true_q).max() / np.abs(true_q).max())
-    if apart > POSE_TOLERANCE_PX or differ > CODE_TOLERANCE:
-        sys.exit(
-            f"gate: backend and specification differ: corners by {apart:.3f} px, modules by {differ:.1%}"
-        )
-    texts = [reading.text for reading in read_codes(events, device=device).readings]
-    if texts != [cases.GATE["text"]]:
-        sys.exit(f"gate: the known scene reads {texts}, not {cases.GATE['text']!r}")
-    return first_ms
+def time_reader(arguments: argparse.Namespace, about: dict[str, str]) -> list[Row]:
+    """Time the pipeline or threads, after the gate."""
+    import reader_times
 
-
-def load_seconds(device: str) -> tuple[float, float]:
-    """Time to a ready solver in a fresh process: with nothing compiled, then with all of it in the cache."""
-    script = (
-        "import time; t = time.perf_counter(); from evqr import Solver; Solver(device={!r}); "
-        "print(time.perf_counter() - t)"
-    )
-    with tempfile.TemporaryDirectory() as cache:
-        command = [sys.executable, "-c", script.format(device)]
-        environment = {**os.environ, "WARP_CACHE_PATH": cache}
-        cold, warm = (
-            float(
-                subprocess.run(command, env=environment, capture_output=True, text=True, check=True)
-                .stdout.strip()
-                .splitlines()[-1]
-            )
-            for _ in range(2)
-        )
-    return cold, warm
-
-
-def simulated(name: str) -> pipeline.Recording:
-    case = cases.PIPELINE[name]
-    return _recording(name, simulate(**case["scene"]).events, {case["scene"]["text"]}, case["windows"])
-
-
-def recorded(path: Path, windows: int = 8) -> pipeline.Recording | None:
-    """Return a recording while its code is in view, or None where it has no truth."""
-    with h5py.File(path) as file:
-        if "truth/modules" not in file:
-            return None
-        truth = file["truth"]
-        texts = {str(file[g].attrs["payload"]) for g in file if g.startswith("truth")}
-        times = truth["t_us"][:][truth["in_view"][:].astype(bool)]
-    with open_recording(path) as recording:
-        events = recording.read().between(int(times[0]), int(times[-1]) + 1)
-    return _recording(path.stem, events, texts, windows)
-
-
-def _recording(name: str, events: EventArray, texts: set[str], windows: int) -> pipeline.Recording:
-    first, last = int(events.t[0]), int(events.t[-1])
-    # from a tenth of the way, so that there is a window before, to two thirds, so that long ones end in time
-    starts = np.linspace(first + 0.1 * (last - first), first + 0.67 * (last - first), windows)
-    return pipeline.Recording(name, events, frozenset(texts), tuple(int(start) for start in starts))
-
-
-def quartiles(values: list[float]) -> tuple[float, float, float]:
-    low, middle, high = statistics.quantiles(values, n=4) if len(values) > 1 else 3 * values
-    return low, middle, high
-
-
-def row(part: str, case: str, method: str, stage: str, values: list[float], **more: str | float) -> Row:
-    low, median, high = quartiles(values)
-    return {
-        "part": part,
-        "case": case,
-        "method": method,
-        "stage": stage,
-        "median": round(median, 3),
-        "lower": round(low, 3),
-        "upper": round(high, 3),
-        "n": len(values),
-        "required": more.get("required", ""),
-        "read": more.get("read", ""),
-    }
-
-
-def time_pipeline(recordings: list[pipeline.Recording], device: str, rounds: int) -> list[Row]:
-    """Time all methods; rows of milliseconds a window by stage, then rows of ratios."""
-    solver = Solver(device=device)
-    jobs = [job for recording in recordings for job in pipeline.prepare(recording, solver)]
-    timings = list(pipeline.run_interleaved(jobs, solver, rounds))
-    rows = []
-    for case in (*dict.fromkeys(t.case for t in timings), "all"):
-        for method in pipeline.METHODS:
-            of_method = [t for t in timings if t.method == method and case in (t.case, "all")]
-            if not of_method:
-                continue
-            read = sum(t.verdict == "read" for t in of_method) / len(of_method)
-            false = sum(t.verdict == "FALSE" for t in of_method)
-            share = f"{read:.0%}" + (f", {false} false" if false else "")
-            rows.append(row("window ms", case, method, "total", [t.total for t in of_method], read=share))
-            for stage in dict.fromkeys(stage for t in of_method for stage in t.ms) if case == "all" else ():
-                values = [t.ms.get(stage, 0.0) for t in of_method]
-                rows.append(row("window ms", case, method, stage, values))
-    # the same window in the same round, one method after the other
-    keyed: dict[tuple, list[float]] = {}
-    for t in timings:
-        keyed.setdefault((t.job, t.method), []).append(t.total)
-    for slow, fast, required in RATIOS:
-        pairs = [
-            a / b
-            for (job, method), times in keyed.items()
-            if method == slow and (job, fast) in keyed
-            for a, b in zip(times, keyed[job, fast], strict=True)
-        ]
-        rows.append(row("ratio", "all", f"{slow} / {fast}", "total", pairs, required=required))
+    first_ms = reader_times.check(arguments.device)
+    compiled, cached = reader_times.load_seconds(arguments.device)
+    about["load"] = f"{compiled:.1f} s with nothing compiled, {cached:.1f} s with all of it cached"
+    about["first window"] = f"{first_ms:.0f} ms, cold, tables and buffers made in it"
+    rows: list[Row] = []
+    if arguments.pipeline:
+        if arguments.recordings:
+            found = map(reader_times.recorded, sorted(arguments.recordings.glob("*.h5")))
+            recordings = [recording for recording in found if recording is not None]
+        else:
+            recordings = [reader_times.simulated(name) for name in arguments.case or cases.PIPELINE]
+        rows += reader_times.time_pipeline(recordings, arguments.device, arguments.rounds or 3)
+    if arguments.threads:
+        rows += reader_times.time_threads(arguments.device)
     return rows
 
 
-def time_threads(device: str) -> list[Row]:
-    """Time one thread against two on many windows, in turns."""
-    events = simulated(cases.THREADS["scene"]).events
-    config = ReadConfig(max_windows=cases.THREADS["windows"])
-    rates: dict[int, list[float]] = {1: [], 2: []}
-    for round_ in range(cases.THREADS["rounds"] + 1):
-        for threads, of_threads in rates.items():
-            begin = time.perf_counter()
-            count = sum(1 for _ in read_windows(events, config=config, device=device, threads=threads))
-            if round_ > 0:
-                of_threads.append(count / (time.perf_counter() - begin))
-    rows = [
-        row("windows/s", cases.THREADS["scene"], f"{threads} threads", "total", of_threads)
-        for threads, of_threads in rates.items()
-    ]
-    ratios = [two / one for one, two in zip(rates[1], rates[2], strict=True)]
-    rows.append(
-        row("ratio", cases.THREADS["scene"], "2 threads / 1", "total", ratios, required=THREADS_RATIO)
+def time_ops(arguments: argparse.Namespace, about: dict[str, str]) -> list[Row]:
+    """Gate and time operations."""
+    import limits
+    import op_times
+
+    names = list(ops.PROBLEMS) if "all" in arguments.op else arguments.op
+    wanted = arguments.case or OP_CASES[1:]
+    target = op_times.Target(arguments.backend, arguments.device, arguments.dtype)
+    rounds = arguments.rounds or 11
+    about["backend"] = f"{target.backend}, {target.dtype}"
+    about["limits"] = (
+        f"one thread copies {limits.copy_rate(limits.LARGE) / 1e9:.1f} GB/s (in no cache) and "
+        f"does {limits.madd_rate(target.dtype) / 1e9:.1f} thousand million multiply-adds a second"
     )
-    return rows
-
-
-def as_csv(about: dict[str, str], rows: list[Row]) -> str:
-    text = io.StringIO()
-    for name, value in about.items():
-        text.write(f"# {name}: {value}\n")
-    writer = csv.DictWriter(text, rows[0], lineterminator="\n")
-    writer.writeheader()
-    writer.writerows(rows)
-    return text.getvalue()
-
-
-def as_human(about: dict[str, str], rows: list[Row]) -> str:
-    lines = [f"{name:12s} {value}" for name, value in about.items()]
-    part = None
-    for r in rows:
-        if r["part"] != part:
-            part = r["part"]
-            lines.append(
-                f"\n{part:18s} {'method':18s} {'stage':12s} {'median':>8s}   {'quartiles':>17s}     n"
-            )
-        case, stage = (r["case"], r["stage"])
-        spread = f"{r['lower']:8.2f} {r['upper']:8.2f}"
-        line = f"{case:18s} {r['method']:18s} {stage:12s} {r['median']:8.2f}   {spread} {r['n']:5d}"
-        if r["read"]:
-            line += f"   read {r['read']}"
-        if r["required"]:
-            line += f"   required {r['required']}: {'ok' if r['median'] >= r['required'] else 'MISSED'}"
-        lines.append(line)
-    return "\n".join(lines) + "\n"
+    about["not there"] = op_times.skipped(names)
+    rows: list[Row] = []
+    for op in tqdm(names, disable=len(names) == 1):
+        op_times.check(op, target)
+        for case in wanted:
+            if case in cases.SIZES:
+                rows += op_times.time_op(op, case, target, rounds)
+        if "growth" in wanted:
+            rows += op_times.time_growth(op, target, max(3, rounds // 3))
+        if (
+            "threads" in wanted
+            and op in cases.THREADED
+            and (target.backend, target.device) == ("warp", "cpu")
+        ):
+            rows += op_times.time_threads(op, target, rounds)
+    return sorted(rows, key=lambda r: ("op ms", "ratio", "growth", "threads").index(str(r["part"])))
 
 
 def main() -> int:
     parser = argparse.ArgumentParser(
         description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
     )
+    parser.add_argument("--op", nargs="+", metavar="NAME", choices=("all", *ops.PROBLEMS))
     parser.add_argument("--pipeline", action="store_true")
     parser.add_argument("--threads", action="store_true")
     parser.add_argument("--recordings", type=Path, metavar="DIR", help="of .h5 files with their truth")
-    parser.add_argument("--case", action="append", choices=sorted(cases.PIPELINE))
-    parser.add_argument("--rounds", type=int, default=3)
+    parser.add_argument("--case", nargs="+", metavar="NAME", choices=(*OP_CASES, *cases.PIPELINE))
+    parser.add_argument(
+        "--backend", choices=("numpy", "warp", "taichi"), default="warp", help="of operations"
+    )
+    parser.add_argument("--dtype", choices=("float32", "float64"), default="float32")
+    parser.add_argument("--rounds", type=int)
     parser.add_argument("--format", choices=("human", "csv", "json"), default="human")
     parser.add_argument("--device", default="cpu")
     parser.add_argument("--save", action="store_true", help="also as perf/results/DEVICE/DATE-COMMIT.csv")
+    parser.add_argument("--base", type=Path, metavar="FILE", help="a saved run to compare with")
     arguments = parser.parse_args()
-    if not (arguments.pipeline or arguments.threads):
-        parser.error("name what to time: --pipeline, --threads or both")
+    of_reader = arguments.pipeline or arguments.threads
+    if bool(arguments.op) == of_reader:
+        parser.error("name what to time: --op, or --pipeline, --threads or both")
+    allowed = OP_CASES if arguments.op else tuple(cases.PIPELINE)
+    for case in set(arguments.case or ()) - set(allowed):
+        parser.error(f"--case must be one of {', '.join(allowed)} here, got {case!r}")
 
     about = machine.describe(arguments.device)
-    first_ms = check(arguments.device)
-    compiled, cached = load_seconds(arguments.device)
-    about["load"] = f"{compiled:.1f} s with nothing compiled, {cached:.1f} s with all of it cached"
-    about["first window"] = f"{first_ms:.0f} ms, cold, tables and buffers made in it"
-    rows = []
-    if arguments.pipeline:
-        if arguments.recordings:
-            found = map(recorded, sorted(arguments.recordings.glob("*.h5")))
-            recordings = [recording for recording in found if recording is not None]
-        else:
-            recordings = [simulated(name) for name in arguments.case or cases.PIPELINE]
-        rows += time_pipeline(recordings, arguments.device, arguments.rounds)
-    if arguments.threads:
-        rows += time_threads(arguments.device)
-
-    if arguments.format == "json":
-        print(json.dumps({"about": about, "rows": rows}, indent=1))
-    else:
-        print((as_csv if arguments.format == "csv" else as_human)(about, rows), end="")
+    rows = (time_ops if arguments.op else time_reader)(arguments, about)
+    if arguments.base:
+        table.compare(rows, arguments.base)
+    write = {"human": table.as_human, "csv": table.as_csv, "json": table.as_json}[arguments.format]
+    print(write(about, rows), end="")
     if arguments.save:
-        date = datetime.date.today().isoformat()
-        folder = Path(__file__).parent / "results" / arguments.device.replace(":", "-")
-        folder.mkdir(parents=True, exist_ok=True)
-        (folder / f"{date}-{machine.commit()}.csv").write_text(as_csv(about, rows))
-    return 0 if all(r["median"] >= r["required"] for r in rows if r["required"]) else 1
+        table.save(arguments.device, about, rows)
+    return 0 if all(map(table.met, rows)) else 1
 
 
 if __name__ == "__main__":

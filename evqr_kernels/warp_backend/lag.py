@@ -38,7 +38,7 @@ def block_of(device: wp.Device) -> int:
 
 @cache
 def make_deposit_events(dtype: type) -> wp.Kernel:
-    """Build the kernel; launch: one thread per (window, chunk of the longest window)."""
+    """Build the kernel; launch: one thread per chunk of events, whatever windows they are of."""
     vec_pair = vector(2, dtype)
     transport = make_transport(dtype)
 
@@ -53,31 +53,36 @@ def make_deposit_events(dtype: type) -> wp.Kernel:
         frame: wp.array2d(dtype=dtype),
         pairs_out: wp.array4d(dtype=vec_pair),
     ):
-        b, chunk = wp.tid()
-        motion_x = motion[b, 0]
-        motion_y = motion[b, 1]
-        origin_x = frame[b, 0]
-        origin_y = frame[b, 1]
-        inverse_scale = dtype(1.0) / frame[b, 2]
         right = dtype(pairs_out.shape[3])
         bottom = dtype(pairs_out.shape[2] - 1)
-        first = window_ptr[b] + chunk * CHUNK
-        for e in range(first, wp.min(first + CHUNK, window_ptr[b + 1])):
-            cx = transport(x[e], t[e], motion_x, origin_x, inverse_scale)
-            cy = transport(y[e], t[e], motion_y, origin_y, inverse_scale)
-            # written so that it is false for NaN
-            if cx >= dtype(0.0) and cy >= dtype(0.0) and cx < right and cy < bottom:
-                column = int(cx)
-                row = int(cy)
-                w = weight[e]
-                image = wp.int32(0)
-                if w < dtype(0.0):
-                    image = wp.int32(1)
-                share = (cx - dtype(column)) * w
-                pair = vec_pair(w - share, share)
-                below = (cy - dtype(row)) * pair
-                wp.atomic_add(pairs_out, b, image, row, column, pair - below)
-                wp.atomic_add(pairs_out, b, image, row + 1, column, below)
+        first = wp.tid() * CHUNK
+        last = wp.min(first + CHUNK, window_ptr[window_ptr.shape[0] - 1])
+        b = wp.lower_bound(window_ptr, first + 1) - 1
+        while first < last:
+            end = wp.min(last, window_ptr[b + 1])
+            motion_x = motion[b, 0]
+            motion_y = motion[b, 1]
+            origin_x = frame[b, 0]
+            origin_y = frame[b, 1]
+            inverse_scale = dtype(1.0) / frame[b, 2]
+            for e in range(first, end):
+                cx = transport(x[e], t[e], motion_x, origin_x, inverse_scale)
+                cy = transport(y[e], t[e], motion_y, origin_y, inverse_scale)
+                # written so that it is false for NaN
+                if cx >= dtype(0.0) and cy >= dtype(0.0) and cx < right and cy < bottom:
+                    column = int(cx)
+                    row = int(cy)
+                    w = weight[e]
+                    image = wp.int32(0)
+                    if w < dtype(0.0):
+                        image = wp.int32(1)
+                    share = (cx - dtype(column)) * w
+                    pair = vec_pair(w - share, share)
+                    below = (cy - dtype(row)) * pair
+                    wp.atomic_add(pairs_out, b, image, row, column, pair - below)
+                    wp.atomic_add(pairs_out, b, image, row + 1, column, below)
+            first = end
+            b += 1
 
     return deposit_events
 
@@ -86,7 +91,7 @@ def deposit_events(x, y, t, weight, window_ptr, motion, frame, deposit_out) -> N
     """Launch; accumulates.  Float atomics: on a GPU sums repeat to a tolerance, not bit for bit."""
     launch(
         make_deposit_events(x.dtype),
-        (motion.shape[0], -(-x.shape[0] // CHUNK)),
+        -(-x.shape[0] // CHUNK),
         inputs=[x, y, t, weight, window_ptr, motion, frame],
         outputs=[neighbours(deposit_out, 2)],
         device=x.device,

@@ -10,15 +10,16 @@ up over the images that were made of the deposit,
 
     adj_p(x) = sum_n sum_i (b_i - lag_p d_x b'_i) along_n(x - i) - lag_p d_y b_i across_n(x - i)
 
-Both are gathers, so there is no atomic and results repeat bit for bit.  They are not on the path of reading a
-code and favour clarity: one thread an event or a cell.
+Both are gathers, so there is no atomic and results repeat bit for bit.  Cells are taken by the block, as in
+``lag.py``; those so near the ends of a row that a block would look beyond it, one by one.
 """
 
 from functools import cache
 
 import warp as wp
 
-from evqr_kernels.warp_backend.language import launch, module_of
+from evqr_kernels.warp_backend.lag import CPU_BLOCK
+from evqr_kernels.warp_backend.language import launch, module_of, neighbours, vector
 from evqr_kernels.warp_backend.transport import make_transport
 
 
@@ -78,68 +79,121 @@ def deposit_events_adjoint(x, y, t, weight, window_ptr, motion, frame, adj_depos
 
 
 @cache
-def make_lag_columns_adjoint(dtype: type) -> wp.Kernel:
-    """Build the pass along columns; launch: one thread per (image, row, column)."""
+def make_lag_columns_adjoint(dtype: type, block: int) -> wp.Kernel:
+    """Build the pass along columns; launch: one thread per (image, row, block of cells).
 
-    @wp.kernel(module=module_of("lag_adjoint", dtype))
+    ``.._blocks``: `neighbours` of the array before.
+    """
+    vec_block = vector(block, dtype)
+
+    @wp.kernel(module=module_of(f"lag_adjoint_{block}", dtype))
     def lag_columns_adjoint(
-        adj_image: wp.array3d(dtype=dtype),
+        adj_blocks: wp.array3d(dtype=vec_block),
         taps: wp.array2d(dtype=dtype),
-        adj_rows_out: wp.array4d(dtype=dtype),
+        rows_out: wp.array4d(dtype=dtype),
+        row_blocks_out: wp.array4d(dtype=vec_block),
     ):
-        n, y, x = wp.tid()
+        n, y, k = wp.tid()
         size = taps.shape[1]
         reach = size // 2
-        height = adj_image.shape[1]
-        along = dtype(0.0)
-        across = dtype(0.0)
-        # the operator makes no use of cells near the border: there the image is 0 whatever the deposit
-        if x >= reach and x < adj_image.shape[2] - reach:
-            for j in range(size):
-                row = y + reach - j
-                if row >= reach and row < height - reach:
-                    along += taps[0, j] * adj_image[n, row, x]
-                    across += taps[1, j] * adj_image[n, row, x]
-        adj_rows_out[n, 0, y, x] = along
-        adj_rows_out[n, 1, y, x] = across
+        height = rows_out.shape[2]
+        width = rows_out.shape[3]
+        if k == 0:
+            # the operator makes no use of cells near the border: there the image is 0 whatever the deposit
+            for plane in range(2):
+                for i in range(reach):
+                    rows_out[n, plane, y, i] = dtype(0.0)
+                    rows_out[n, plane, y, width - 1 - i] = dtype(0.0)
+        # the last block ends with the row; what it shares with the one before is written twice, alike
+        x = wp.min(reach + block * k, adj_blocks.shape[2] - 1 - reach)
+        along = vec_block()
+        across = vec_block()
+        # of rows that are not near the border
+        for j in range(wp.max(y + 2 * reach + 1 - height, 0), wp.min(size, y + 1)):
+            adj = adj_blocks[n, y + reach - j, x]
+            along += taps[0, j] * adj
+            across += taps[1, j] * adj
+        row_blocks_out[n, 0, y, x] = along
+        row_blocks_out[n, 1, y, x] = across
 
     return lag_columns_adjoint
 
 
 @cache
-def make_lag_rows_adjoint(dtype: type) -> wp.Kernel:
-    """Build the pass along rows; launch: one thread per (deposit, row, column)."""
+def make_lag_gather(dtype: type, block: int) -> wp.Function:
+    """Build the sum along a row, over images, that ``block`` cells of a deposit get: ON and OFF."""
+    vec_block = vector(block, dtype)
 
-    @wp.kernel(module=module_of("lag_adjoint", dtype))
-    def lag_rows_adjoint(
-        adj_rows: wp.array4d(dtype=dtype),
+    @wp.func
+    def lag_gather(
+        row_blocks: wp.array4d(dtype=vec_block),
         deposit_idx: wp.array(dtype=wp.int32),
         direction: wp.array2d(dtype=dtype),
         lag: wp.array2d(dtype=dtype),
         taps: wp.array2d(dtype=dtype),
-        adj_deposit_out: wp.array4d(dtype=dtype),
+        b: int,
+        y: int,
+        x: int,
     ):
-        b, y, x = wp.tid()
         size = taps.shape[1]
         reach = size // 2
-        width = adj_rows.shape[3]
-        on = dtype(0.0)
-        off = dtype(0.0)
+        on = vec_block()
+        off = vec_block()
         for n in range(deposit_idx.shape[0]):
             if deposit_idx[n] == b:
-                plain = dtype(0.0)
-                slope = dtype(0.0)
+                plain = vec_block()
+                slope = vec_block()
                 for i in range(size):
                     column = x + reach - i
-                    if column >= 0 and column < width:
-                        along = adj_rows[n, 0, y, column]
+                    # blocks do not look beyond their row
+                    if wp.static(block > 1) or (column >= 0 and column < row_blocks.shape[3]):
+                        along = row_blocks[n, 0, y, column]
                         plain += taps[0, i] * along
-                        slope += direction[n, 0] * taps[1, i] * along
-                        slope += direction[n, 1] * taps[0, i] * adj_rows[n, 1, y, column]
+                        slope += (direction[n, 0] * taps[1, i]) * along
+                        slope += (direction[n, 1] * taps[0, i]) * row_blocks[n, 1, y, column]
                 on += plain - lag[n, 0] * slope
                 off += plain - lag[n, 1] * slope
-        adj_deposit_out[b, 0, y, x] = on
-        adj_deposit_out[b, 1, y, x] = off
+        return on, off
+
+    return lag_gather
+
+
+@cache
+def make_lag_rows_adjoint(dtype: type, block: int) -> wp.Kernel:
+    """Build the pass along rows; launch: one thread per (deposit, row, block of cells).
+
+    ``.._cells`` and ``.._blocks``: `neighbours` of the same arrays, one and ``block``.
+    """
+    vec_block = vector(block, dtype)
+    vec_cell = vector(1, dtype)
+    gather_block = make_lag_gather(dtype, block)
+    gather_cell = make_lag_gather(dtype, 1)
+
+    @wp.kernel(module=module_of(f"lag_adjoint_{block}", dtype))
+    def lag_rows_adjoint(
+        row_cells: wp.array4d(dtype=vec_cell),
+        row_blocks: wp.array4d(dtype=vec_block),
+        deposit_idx: wp.array(dtype=wp.int32),
+        direction: wp.array2d(dtype=dtype),
+        lag: wp.array2d(dtype=dtype),
+        taps: wp.array2d(dtype=dtype),
+        adj_cells_out: wp.array4d(dtype=vec_cell),
+        adj_blocks_out: wp.array4d(dtype=vec_block),
+    ):
+        b, y, k = wp.tid()
+        x = k
+        if wp.static(block > 1):
+            reach = taps.shape[1] // 2
+            if k == 0:
+                for i in range(2 * reach):
+                    edge = wp.where(i < reach, i, adj_cells_out.shape[3] - 1 - (i - reach))
+                    on_cell, off_cell = gather_cell(row_cells, deposit_idx, direction, lag, taps, b, y, edge)
+                    adj_cells_out[b, 0, y, edge] = on_cell
+                    adj_cells_out[b, 1, y, edge] = off_cell
+            x = wp.min(reach + block * k, adj_blocks_out.shape[3] - 1 - reach)
+        on, off = gather_block(row_blocks, deposit_idx, direction, lag, taps, b, y, x)
+        adj_blocks_out[b, 0, y, x] = on
+        adj_blocks_out[b, 1, y, x] = off
 
     return lag_rows_adjoint
 
@@ -148,17 +202,22 @@ def lag_operator_adjoint(deposit_idx, direction, lag, taps, adj_image, rows_out,
     """Launch both passes; overwrites."""
     dtype, device = adj_image.dtype, adj_image.device
     count, _, height, width = adj_deposit_out.shape
+    inner = width - 2 * (taps.shape[1] // 2)
+    # on a GPU the sums of more than one cell do not fit its registers
+    block = CPU_BLOCK if device.is_cpu and inner >= CPU_BLOCK else 1
+    blocks = -(-inner // block)
+    rows = neighbours(rows_out, block)
     launch(
-        make_lag_columns_adjoint(dtype),
-        adj_image.shape,
-        inputs=[adj_image, taps],
-        outputs=[rows_out],
+        make_lag_columns_adjoint(dtype, block),
+        (adj_image.shape[0], height, blocks),
+        inputs=[neighbours(adj_image, block), taps],
+        outputs=[rows_out, rows],
         device=device,
     )
     launch(
-        make_lag_rows_adjoint(dtype),
-        (count, height, width),
-        inputs=[rows_out, deposit_idx, direction, lag, taps],
-        outputs=[adj_deposit_out],
+        make_lag_rows_adjoint(dtype, block),
+        (count, height, blocks if block > 1 else width),
+        inputs=[neighbours(rows_out, 1), rows, deposit_idx, direction, lag, taps],
+        outputs=[neighbours(adj_deposit_out, 1), neighbours(adj_deposit_out, block)],
         device=device,
     )

@@ -9,13 +9,17 @@ the border by minus the border's own value:
     adj_L(y, x)  = m_x (a(y, x - 1) - a(y, x + 1)) / 2 + m_y (a(y - 1, x) - a(y + 1, x)) / 2
     adj_m        = sum_{y, x} a (L_x, L_y)
     adj_E        = a
+
+A thread takes a row by blocks of neighbouring pixels, which is what a CPU's vector units want; its first
+pixel, and the last ones where no block with a neighbour on either side fits, one by one, as all are on a GPU.
 """
 
 from functools import cache
 
 import warp as wp
 
-from evqr_kernels.warp_backend.language import launch, module_of
+from evqr_kernels.warp_backend.lag import CPU_BLOCK
+from evqr_kernels.warp_backend.language import launch, module_of, neighbours, vector
 from evqr_kernels.warp_backend.sums import add_partials
 
 
@@ -35,19 +39,40 @@ def make_slopes(dtype: type) -> wp.Function:
 
 
 @cache
-def make_brightness_residual(dtype: type) -> wp.Kernel:
-    """Build the forward kernel; launch: one thread per row."""
+def make_brightness_residual(dtype: type, block: int) -> wp.Kernel:
+    """Build the forward kernel; launch: one thread per row.
+
+    ``.._blocks``: `neighbours` of the array before.
+    """
+    vec_block = vector(block, dtype)
     slopes = make_slopes(dtype)
 
-    @wp.kernel(module=module_of("residual", dtype))
+    @wp.kernel(module=module_of(f"residual_{block}", dtype))
     def brightness_residual(
         luminance: wp.array3d(dtype=dtype),
+        luminance_blocks: wp.array3d(dtype=vec_block),
         events_image: wp.array3d(dtype=dtype),
+        events_blocks: wp.array3d(dtype=vec_block),
         motion: wp.array2d(dtype=dtype),
         residual_out: wp.array3d(dtype=dtype),
+        residual_blocks_out: wp.array3d(dtype=vec_block),
     ):
         b, y = wp.tid()
-        for x in range(luminance.shape[2]):
+        width = luminance.shape[2]
+        blocks = wp.int32(0)
+        if wp.static(block > 1):
+            above = wp.max(y - 1, 0)
+            below = wp.min(y + 1, luminance.shape[1] - 1)
+            half_x = dtype(0.5) * motion[b, 0]
+            half_y = dtype(0.5) * motion[b, 1]
+            blocks = wp.max(width - 2, 0) // block
+            for k in range(blocks):
+                x = 1 + block * k
+                along_x = luminance_blocks[b, y, x + 1] - luminance_blocks[b, y, x - 1]
+                along_y = luminance_blocks[b, below, x] - luminance_blocks[b, above, x]
+                residual_blocks_out[b, y, x] = half_x * along_x + half_y * along_y + events_blocks[b, y, x]
+        for i in range(width - block * blocks):
+            x = wp.where(i == 0, 0, block * blocks + i)
             dx, dy = slopes(luminance, b, y, x)
             residual_out[b, y, x] = motion[b, 0] * dx + motion[b, 1] * dy + events_image[b, y, x]
 
@@ -56,18 +81,22 @@ def make_brightness_residual(dtype: type) -> wp.Kernel:
 
 def brightness_residual(luminance, events_image, motion, residual_out) -> None:
     """Launch; overwrites."""
+    block = CPU_BLOCK if luminance.device.is_cpu else 1
     launch(
-        make_brightness_residual(luminance.dtype),
+        make_brightness_residual(luminance.dtype, block),
         luminance.shape[:2],
-        inputs=[luminance, events_image, motion],
-        outputs=[residual_out],
+        inputs=[
+            luminance, neighbours(luminance, block), events_image, neighbours(events_image, block), motion,
+        ],
+        outputs=[residual_out, neighbours(residual_out, block)],
         device=luminance.device,
-    )
+    )  # fmt: skip
 
 
 @cache
-def make_brightness_residual_adjoint(dtype: type) -> wp.Kernel:
-    """Build the adjoint kernel; launch: one thread per row."""
+def make_brightness_residual_adjoint(dtype: type, block: int) -> wp.Kernel:
+    """Build the adjoint kernel; launch and blocks as forward."""
+    vec_block = vector(block, dtype)
     slopes = make_slopes(dtype)
 
     @wp.func
@@ -79,24 +108,54 @@ def make_brightness_residual_adjoint(dtype: type) -> wp.Kernel:
             value = -value
         return value
 
-    @wp.kernel(module=module_of("residual_adjoint", dtype))
+    @wp.kernel(module=module_of(f"residual_{block}", dtype))
     def brightness_residual_adjoint(
         luminance: wp.array3d(dtype=dtype),
+        luminance_blocks: wp.array3d(dtype=vec_block),
         motion: wp.array2d(dtype=dtype),
         adj_residual: wp.array3d(dtype=dtype),
+        adj_blocks: wp.array3d(dtype=vec_block),
         rows_out: wp.array3d(dtype=dtype),
         adj_luminance_out: wp.array3d(dtype=dtype),
+        adj_luminance_blocks_out: wp.array3d(dtype=vec_block),
     ):
         b, y = wp.tid()
+        width = luminance.shape[2]
         adj_x = dtype(0.0)
         adj_y = dtype(0.0)
-        for x in range(luminance.shape[2]):
+        blocks = wp.int32(0)
+        if wp.static(block > 1):
+            above = wp.max(y - 1, 0)
+            below = wp.min(y + 1, luminance.shape[1] - 1)
+            half_x = dtype(0.5) * motion[b, 0]
+            from_above = dtype(0.5) * motion[b, 1]
+            from_below = -from_above
+            if y == 0:
+                from_above = -from_above
+            if y == luminance.shape[1] - 1:
+                from_below = -from_below
+            sums_x = vec_block()
+            sums_y = vec_block()
+            blocks = wp.max(width - 2, 0) // block
+            for k in range(blocks):
+                x = 1 + block * k
+                adj = adj_blocks[b, y, x]
+                sums_x += wp.cw_mul(adj, luminance_blocks[b, y, x + 1] - luminance_blocks[b, y, x - 1])
+                sums_y += wp.cw_mul(adj, luminance_blocks[b, below, x] - luminance_blocks[b, above, x])
+                along_x = adj_blocks[b, y, x - 1] - adj_blocks[b, y, x + 1]
+                along_y = from_above * adj_blocks[b, above, x] + from_below * adj_blocks[b, below, x]
+                adj_luminance_blocks_out[b, y, x] = half_x * along_x + along_y
+            for k in range(wp.static(block)):
+                adj_x += dtype(0.5) * sums_x[k]
+                adj_y += dtype(0.5) * sums_y[k]
+        for i in range(width - block * blocks):
+            x = wp.where(i == 0, 0, block * blocks + i)
             dx, dy = slopes(luminance, b, y, x)
             adj_x += adj_residual[b, y, x] * dx
             adj_y += adj_residual[b, y, x] * dy
-            along_x = beyond(adj_residual, b, y, x - 1) - beyond(adj_residual, b, y, x + 1)
-            along_y = beyond(adj_residual, b, y - 1, x) - beyond(adj_residual, b, y + 1, x)
-            adj_luminance_out[b, y, x] = dtype(0.5) * (motion[b, 0] * along_x + motion[b, 1] * along_y)
+            left_right = beyond(adj_residual, b, y, x - 1) - beyond(adj_residual, b, y, x + 1)
+            up_down = beyond(adj_residual, b, y - 1, x) - beyond(adj_residual, b, y + 1, x)
+            adj_luminance_out[b, y, x] = dtype(0.5) * (motion[b, 0] * left_right + motion[b, 1] * up_down)
         rows_out[b, y, 0] = adj_x
         rows_out[b, y, 1] = adj_y
 
@@ -107,11 +166,14 @@ def brightness_residual_adjoint(
     luminance, motion, adj_residual, rows_out, adj_luminance_out, adj_motion_out
 ) -> None:
     """Launch both passes; overwrites."""
+    block = CPU_BLOCK if luminance.device.is_cpu else 1
     launch(
-        make_brightness_residual_adjoint(luminance.dtype),
+        make_brightness_residual_adjoint(luminance.dtype, block),
         luminance.shape[:2],
-        inputs=[luminance, motion, adj_residual],
-        outputs=[rows_out, adj_luminance_out],
+        inputs=[
+            luminance, neighbours(luminance, block), motion, adj_residual, neighbours(adj_residual, block),
+        ],
+        outputs=[rows_out, adj_luminance_out, neighbours(adj_luminance_out, block)],
         device=luminance.device,
-    )
+    )  # fmt: skip
     add_partials(rows_out, adj_motion_out)

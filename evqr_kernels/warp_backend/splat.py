@@ -34,7 +34,7 @@ CHUNK = 64
 
 @cache
 def make_bin_events(dtype: type) -> wp.Kernel:
-    """Build the binning kernel; launch: one thread per (window, chunk of the longest window)."""
+    """Build the binning kernel; launch: one thread per chunk of events, whatever windows they are of."""
 
     @wp.kernel(module=module_of("bin", dtype))
     def bin_events(
@@ -45,16 +45,21 @@ def make_bin_events(dtype: type) -> wp.Kernel:
         inverse_reduction: dtype,
         image_out: wp.array3d(dtype=dtype),
     ):
-        b, chunk = wp.tid()
         right = dtype(image_out.shape[2])
         bottom = dtype(image_out.shape[1])
-        first = window_ptr[b] + chunk * CHUNK
-        for e in range(first, wp.min(first + CHUNK, window_ptr[b + 1])):
-            column = (x[e] + dtype(0.5)) * inverse_reduction
-            row = (y[e] + dtype(0.5)) * inverse_reduction
-            # written so that it is false for NaN
-            if column >= dtype(0.0) and row >= dtype(0.0) and column < right and row < bottom:
-                wp.atomic_add(image_out, b, int(row), int(column), weight[e])
+        first = wp.tid() * CHUNK
+        last = wp.min(first + CHUNK, window_ptr[window_ptr.shape[0] - 1])
+        b = wp.lower_bound(window_ptr, first + 1) - 1
+        while first < last:
+            end = wp.min(last, window_ptr[b + 1])
+            for e in range(first, end):
+                column = (x[e] + dtype(0.5)) * inverse_reduction
+                row = (y[e] + dtype(0.5)) * inverse_reduction
+                # written so that it is false for NaN
+                if column >= dtype(0.0) and row >= dtype(0.0) and column < right and row < bottom:
+                    wp.atomic_add(image_out, b, int(row), int(column), weight[e])
+            first = end
+            b += 1
 
     return bin_events
 
@@ -63,7 +68,7 @@ def bin_events(x, y, weight, window_ptr, reduction: float, image_out) -> None:
     """Launch; accumulates.  Float atomics: on a GPU sums repeat to a tolerance, not bit for bit."""
     launch(
         make_bin_events(x.dtype),
-        (window_ptr.shape[0] - 1, -(-x.shape[0] // CHUNK)),
+        -(-x.shape[0] // CHUNK),
         inputs=[x, y, weight, window_ptr, 1.0 / reduction],
         outputs=[image_out],
         device=x.device,

@@ -135,7 +135,7 @@ def test_residual_in_the_luminance(placed, dtype, rng):
     assert_adjoint(call.run(placed)[0], back.inputs[2], call.inputs[0], adj_luminance)
 
 
-@pytest.mark.parametrize("shape", [(1, 1), (1, 2), (2, 1), (2, 2), (1, 7), (3, 3)])
+@pytest.mark.parametrize("shape", [(1, 1), (1, 2), (2, 1), (2, 2), (1, 7), (3, 3), (2, 17), (3, 18), (3, 40)])
 def test_residual_of_small_images(shape, placed, dtype, rng):
     luminance, adj = rng.normal(size=(2, 1, *shape)).astype(dtype)
     motion = np.array([[0.7, -1.3]], dtype)

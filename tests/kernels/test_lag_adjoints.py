@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from . import cases
-from .helpers import assert_adjoint, filled
+from .helpers import assert_adjoint, assert_close, filled
 
 
 def test_deposit_in_the_weights(placed, dtype, rng):
@@ -57,6 +57,13 @@ def test_operator_in_the_deposit(height, width, placed, dtype, rng):
     (image,), (adj_deposit,) = call.run(placed), back.run(placed)
     assert_adjoint(image, adj_image, call.inputs[0], adj_deposit)
     np.testing.assert_array_equal(adj_deposit[1], 0)
+
+
+def test_images_narrower_than_a_block(placed, spec, dtype, rng):
+    back = cases.lag_operator_adjoint(rng, dtype)
+    back.inputs[4] = back.inputs[4][:, :, :9].copy()
+    back.outputs = [output[..., :9].copy() for output in back.outputs]
+    assert_close(back.run(placed)[0], back.run(spec)[0])
 
 
 @pytest.mark.parametrize("height", [1, 4])
