@@ -79,8 +79,9 @@ def make_edge(dtype):
         if z >= dtype(EDGE):
             value = dtype(1.0)
         elif z > dtype(-EDGE):
-            value = dtype(0.5) + dtype(0.5 * STRETCH) * erf(z * dtype(INVERSE_SQRT2))
-            slope = dtype(DENSITY) * exp(dtype(-0.5) * z * z)
+            gauss = exp(dtype(-0.5) * z * z)
+            value = dtype(0.5) + dtype(0.5 * STRETCH) * erf(z * dtype(INVERSE_SQRT2), gauss)
+            slope = dtype(DENSITY) * gauss
         return value, slope
 
     return edge
@@ -105,7 +106,7 @@ def make_profile(dtype, taps: int):
         value = ti.Vector.zero(dtype, taps)
         slope = ti.Vector.zero(dtype, taps)
         before, before_slope = edge((u - dtype(first) + dtype(0.5)) * inverse_sigma)
-        for k in range(taps):  # not unrolled: each edge is a series
+        for k in range(taps):
             after, after_slope = edge((u - dtype(first + k) - dtype(0.5)) * inverse_sigma)
             value[k] = before - after
             slope[k] = (before_slope - after_slope) * inverse_sigma
