@@ -135,9 +135,16 @@ class TaichiBackend:
         """None when the operation can run, otherwise the reason why not."""
         if op not in OPS:
             return f"no operation {op!r}"
-        if np.dtype(dtype) not in (np.dtype(np.float32), np.dtype(np.float64)):
-            return f"dtype {np.dtype(dtype)} is neither float32 nor float64"
-        return None if device in self.devices() else f"no device {device!r}"
+        dtype = np.dtype(dtype)
+        if dtype not in (np.dtype(np.float32), np.dtype(np.float64)):
+            return f"dtype {dtype} is neither float32 nor float64"
+        if device not in self.devices():
+            return f"no device {device!r}"
+        if dtype == np.float64 and not runtime.has_float64(device):
+            return (
+                f"{device} computes in float32 only, not in float64: give float32 arrays, or another device"
+            )
+        return None
 
     def needs_compile(self, device: str = "cpu", kernels: KernelSet = DEFAULT_KERNELS) -> bool:
         """Whether `load` is still to be called, which takes a second even from Taichi's own cache."""
