@@ -35,7 +35,7 @@ from evqr_kernels.taichi_backend import (
     templates,
 )
 from evqr_kernels.taichi_backend.arrays import DeviceArray, write
-from evqr_kernels.taichi_backend.language import DTYPES, ti
+from evqr_kernels.taichi_backend.language import CPU_BLOCK, DTYPES, GPU_BLOCK, ti
 from evqr_kernels.taichi_backend.launches import LOCK, compile_kernel, launch, record
 
 TAPS = 5
@@ -165,11 +165,12 @@ def _kernels(kernels: KernelSet) -> list[Any]:
     """List the kernels that reading a code, one window at a time, launches."""
     f32 = ti.f32
     on_cpu = runtime.running_on() == "cpu"
+    block = CPU_BLOCK if on_cpu else GPU_BLOCK
     return [
         splat.make_bin_events(f32, not on_cpu, on_cpu),
         lag.make_deposit_events(f32, not on_cpu, on_cpu),
-        lag.make_lag_rows(f32, TAPS),
-        lag.make_lag_columns(f32, TAPS),
+        lag.make_lag_rows(f32, TAPS, block),
+        lag.make_lag_columns(f32, TAPS, block),
         motion.make_clip_rows(f32),
         motion.make_correlate_rows(f32),
         motion.make_add_rows(f32),
@@ -178,10 +179,10 @@ def _kernels(kernels: KernelSet) -> list[Any]:
         images.make_limit(f32, on_cpu),
         images.make_clip_rows(f32),
         images.make_reduce_image(f32),
-        images.make_mix_images(f32),
-        templates.make_running_squares(f32),
+        images.make_mix_images(f32, block),
+        templates.make_running_squares(f32, block),
         templates.make_quiet_floor(f32, on_cpu),
-        templates.make_correlate_basis(f32),
+        templates.make_correlate_basis(f32, block),
         templates.make_best_template(f32),
         peaks.make_local_maxima(f32),
         peaks.make_merge_maxima(f32, on_cpu),
