@@ -89,7 +89,7 @@ def make_lag_rows(dtype, size: int, block: int):
                 blurred = ti.Vector.zero(dtype, block)
                 lagging = ti.Vector.zero(dtype, block)
                 lagging_slope = ti.Vector.zero(dtype, block)
-                for i in ti.static(range(size)):
+                for i in range(size):
                     blur = taps[0, i]
                     slope = taps[1, i]
                     on_at = run_at(row_of_plane(deposit, b, 0, y) + x + i - reach)
@@ -129,7 +129,7 @@ def make_lag_columns(dtype, size: int, block: int):
                 x = ti.min(reach + block * k, width - reach - block)
                 total = ti.Vector.zero(dtype, block)
                 if inside:
-                    for j in ti.static(range(size)):
+                    for j in range(size):
                         blur = taps[0, j]
                         slope = taps[1, j]
                         along = run_at(row_of_plane(rows, n, 0, y + j - reach) + x)
