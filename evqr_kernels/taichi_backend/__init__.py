@@ -189,7 +189,7 @@ def _kernels(kernels: KernelSet) -> list[Any]:
         peaks.make_match_corners(f32),
         *(align.make_align_poses(f32, kernels.table_columns, alone) for alone in {False, on_cpu}),
         code.make_sample_rows(f32),
-        code.make_fold_columns(f32),
+        code.make_fold_columns(f32, code.BLOCK),
         *solve.make_kernels(f32, on_cpu),
     ]
 

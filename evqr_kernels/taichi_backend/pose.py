@@ -2,7 +2,7 @@
 
 from functools import cache
 
-from evqr_kernels.taichi_backend.language import array, float_of, ti
+from evqr_kernels.taichi_backend.language import array, float_of, run_at, ti
 from evqr_kernels.taichi_backend.launches import launch
 
 
@@ -80,8 +80,9 @@ def make_moments_of_chunks(dtype, columns: int):
                     x, y = project(pose, h, points[s, 0], points[s, 1])
                     e = bilinear(image, b, x, y)
                     if e != dtype(0.0):
+                        at = run_at(s * columns)
                         for c in ti.static(range(columns)):
-                            moments[c] += e * table[s, c]
+                            moments[c] += e * table[0, at + c]
                         energy += e * e
                 for c in ti.static(range(columns)):
                     chunks_out[h, chunk, c] = moments[c]
