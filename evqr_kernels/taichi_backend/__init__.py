@@ -169,8 +169,8 @@ def _kernels(kernels: KernelSet) -> list[Any]:
     return [
         splat.make_bin_events(f32, not on_cpu, on_cpu),
         lag.make_deposit_events(f32, not on_cpu, on_cpu),
-        lag.make_lag_rows(f32, TAPS, block),
-        lag.make_lag_columns(f32, TAPS, block),
+        lag.make_lag_rows(f32, TAPS, min(block, lag.MOST_CELLS)),
+        lag.make_lag_columns(f32, TAPS, min(block, lag.MOST_CELLS)),
         motion.make_clip_rows(f32),
         motion.make_correlate_rows(f32),
         motion.make_add_rows(f32),

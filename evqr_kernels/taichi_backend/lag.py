@@ -7,6 +7,9 @@ from evqr_kernels.taichi_backend.launches import launch
 from evqr_kernels.taichi_backend.splat import events_a_thread, make_add, owners
 from evqr_kernels.taichi_backend.transport import make_transport
 
+MOST_CELLS = 8
+"""Neighbouring cells done together, at most: of twice as many the compiler makes no vectors."""
+
 
 @cache
 def make_deposit_events(dtype, shared: bool, alone: bool):
@@ -86,27 +89,28 @@ def make_lag_rows(dtype, size: int, block: int):
             for k in range((width - 2 * reach + block - 1) // block):
                 # the last block ends with the row; what it shares with the one before is written twice, alike
                 x = ti.min(reach + block * k, width - reach - block)
-                blurred = ti.Vector.zero(dtype, block)
-                lagging = ti.Vector.zero(dtype, block)
-                lagging_slope = ti.Vector.zero(dtype, block)
+                along = ti.Vector.zero(dtype, block)
+                across = ti.Vector.zero(dtype, block)
                 for i in range(size):
                     blur = taps[0, i]
-                    slope = taps[1, i]
+                    along_on = blur - direction_x * lag_on * taps[1, i]
+                    along_off = blur - direction_x * lag_off * taps[1, i]
+                    across_on = -direction_y * lag_on * blur
+                    across_off = -direction_y * lag_off * blur
                     on_at = run_at(row_of_plane(deposit, b, 0, y) + x + i - reach)
                     off_at = run_at(row_of_plane(deposit, b, 1, y) + x + i - reach)
                     for p in ti.static(range(block)):
-                        on = deposit[0, 0, 0, on_at + p]
-                        off = deposit[0, 0, 0, off_at + p]
-                        late = lag_on * on + lag_off * off
-                        blurred[p] += blur * (on + off)
-                        lagging[p] += blur * late
-                        lagging_slope[p] += slope * late
-                along = run_at(row_of_plane(rows_out, n, 0, y) + x)
+                        along[p] += along_on * deposit[0, 0, 0, on_at + p]
+                        across[p] += across_on * deposit[0, 0, 0, on_at + p]
+                    for p in ti.static(range(block)):
+                        along[p] += along_off * deposit[0, 0, 0, off_at + p]
+                        across[p] += across_off * deposit[0, 0, 0, off_at + p]
+                to = run_at(row_of_plane(rows_out, n, 0, y) + x)
                 for p in ti.static(range(block)):
-                    rows_out[0, 0, 0, along + p] = blurred[p] - direction_x * lagging_slope[p]
-                across = run_at(row_of_plane(rows_out, n, 1, y) + x)
+                    rows_out[0, 0, 0, to + p] = along[p]
+                to = run_at(row_of_plane(rows_out, n, 1, y) + x)
                 for p in ti.static(range(block)):
-                    rows_out[0, 0, 0, across + p] = -direction_y * lagging[p]
+                    rows_out[0, 0, 0, to + p] = across[p]
 
     return lag_rows
 
@@ -146,6 +150,6 @@ def make_lag_columns(dtype, size: int, block: int):
 def lag_operator(deposit, deposit_idx, direction, lag, taps, rows_out, image_out) -> None:
     """Launch both passes; overwrites."""
     dtype, size = float_of(deposit), taps.shape[1]
-    block = block_of(deposit, image_out.shape[2] - size)
+    block = min(block_of(deposit, image_out.shape[2] - size), MOST_CELLS)
     launch(make_lag_rows(dtype, size, block), deposit, deposit_idx, direction, lag, taps, rows_out)
     launch(make_lag_columns(dtype, size, block), rows_out, taps, image_out)

@@ -45,9 +45,7 @@ def make_look(dtype, parameters: int):
         inverse_depth = dtype(1.0)
         if ti.static(parameters == 8):
             depth = w[6] * x + (w[7] * y + dtype(1.0))
-            inverse_depth = dtype(0.0)
-            if depth > dtype(0.0):
-                inverse_depth = dtype(1.0) / depth
+            inverse_depth = ti.select(depth > dtype(0.0), dtype(1.0) / depth, dtype(0.0))
             u *= inverse_depth
             v *= inverse_depth
         return u, v, inverse_depth

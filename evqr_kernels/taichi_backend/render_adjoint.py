@@ -6,7 +6,7 @@ from the pixels that can see it.
 
 from functools import cache
 
-from evqr_kernels.taichi_backend.language import array, float_of, is_alone, is_on_cpu, ti
+from evqr_kernels.taichi_backend.language import array, float_of, is_alone, is_on_cpu, row_of, run_at, ti
 from evqr_kernels.taichi_backend.launches import launch
 from evqr_kernels.taichi_backend.render import (
     make_edge,
@@ -22,12 +22,33 @@ from evqr_kernels.taichi_backend.sums import add_partials
 
 
 @cache
+def make_add_to_row(taps: int):
+    """Build the addition to ``taps`` nodes of a row, which may lie beyond the grid; nobody else adds there."""
+
+    @ti.func
+    def add_to_row(grid: ti.template(), b, j, i, values):
+        columns = grid.shape[2]
+        if j >= 0 and j < grid.shape[1]:
+            if i >= 0 and i + taps <= columns:
+                at = run_at(row_of(grid, b, j) + i)
+                for k in ti.static(range(taps)):
+                    grid[0, 0, at + k] = grid[0, 0, at + k] + values[k]
+            else:
+                for k in ti.static(range(taps)):
+                    if i + k >= 0 and i + k < columns:
+                        grid[b, j, i + k] = grid[b, j, i + k] + values[k]
+
+    return add_to_row
+
+
+@cache
 def make_adjoint_of_row(dtype, parameters: int, taps: int, scatter: bool):
     """Build the adjoint of a row of pixels in the map, and with ``scatter`` in the grid, added up there."""
     look = make_look(dtype, parameters)
     near = make_near(dtype)
     profile = make_profile(dtype, taps)
     row_of_nodes = make_row_of_nodes(dtype, taps)
+    add_to_row = make_add_to_row(taps)
 
     @ti.func
     def adjoint_of_row(
@@ -60,11 +81,7 @@ def make_adjoint_of_row(dtype, parameters: int, taps: int, scatter: bool):
                     adj_u += share_v[k] * slope_u.dot(nodes)
                     adj_v += slope_v[k] * share_u.dot(nodes)
                     if ti.static(scatter):
-                        if j + k >= 0 and j + k < rows:
-                            for m in ti.static(range(taps)):
-                                if i + m >= 0 and i + m < columns:
-                                    share = adj * share_v[k] * share_u[m]
-                                    adj_grid_out[b, j + k, i + m] = adj_grid_out[b, j + k, i + m] + share
+                        add_to_row(adj_grid_out, b, j + k, i, (adj * share_v[k]) * share_u)
                 adj *= inverse_depth
                 here = ti.Vector([adj * adj_u, adj * adj_v, adj * (adj_u * u + adj_v * v)])
                 at_0 += here
