@@ -26,7 +26,7 @@ def make_factor_of(dtype):
 
 @cache
 def make_pose_normal_equations(dtype):
-    """Build gain, matrix and right-hand side, one loop each: one thread per pose, per entry, per parameter."""
+    """Build gain, matrix and right-hand side: one thread per pose, then per entry, then per parameter."""
     factor_of = make_factor_of(dtype)
 
     @ti.kernel

@@ -23,7 +23,7 @@ from evqr_kernels.taichi_backend.sums import add_partials
 
 @cache
 def make_add_to_row(taps: int):
-    """Build the addition to ``taps`` nodes of a row, which may lie beyond the grid; nobody else adds there."""
+    """Build the addition to ``taps`` nodes of a row, which may lie beyond the grid; none else adds there."""
 
     @ti.func
     def add_to_row(grid: ti.template(), b, j, i, values):
