@@ -172,7 +172,7 @@ def make_render_code(dtype, parameters: int, taps: int):
                     i, share_u, _slope_u = profile(u, sigma)
                     j, share_v, _slope_v = profile(v, sigma)
                     value = dtype(0.0)
-                    for k in ti.static(range(taps)):
+                    for k in range(taps):
                         value += share_v[k] * share_u.dot(row_of_nodes(grid, beyond, b, j + k, i))
                 image_out[b, y, x] = value
 

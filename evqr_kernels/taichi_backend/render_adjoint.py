@@ -51,6 +51,26 @@ def make_adjoint_of_row(dtype, parameters: int, taps: int, scatter: bool):
     add_to_row = make_add_to_row(taps)
 
     @ti.func
+    def of_nodes(
+        grid: ti.template(),
+        adj_grid_out: ti.template(),
+        beyond,
+        adj,
+        b,
+        j,
+        i,
+        share_u,
+        slope_u,
+        share,
+        slope,
+    ):
+        """Give what a row of nodes adds to the pixel's slopes; what the pixel adds to them is added there."""
+        nodes = row_of_nodes(grid, beyond, b, j, i)
+        if ti.static(scatter):
+            add_to_row(adj_grid_out, b, j, i, (adj * share) * share_u)
+        return share * slope_u.dot(nodes), slope * share_u.dot(nodes)
+
+    @ti.func
     def adjoint_of_row(
         grid: ti.template(),
         w,
@@ -76,12 +96,40 @@ def make_adjoint_of_row(dtype, parameters: int, taps: int, scatter: bool):
                 adj = adj_image[b, y, x]
                 adj_u = dtype(0.0)
                 adj_v = dtype(0.0)
-                for k in ti.static(range(taps)):
-                    nodes = row_of_nodes(grid, beyond, b, j + k, i)
-                    adj_u += share_v[k] * slope_u.dot(nodes)
-                    adj_v += slope_v[k] * share_u.dot(nodes)
-                    if ti.static(scatter):
-                        add_to_row(adj_grid_out, b, j + k, i, (adj * share_v[k]) * share_u)
+                if ti.static(taps == 2):
+                    for k in ti.static(range(taps)):
+                        change_u, change_v = of_nodes(
+                            grid,
+                            adj_grid_out,
+                            beyond,
+                            adj,
+                            b,
+                            j + k,
+                            i,
+                            share_u,
+                            slope_u,
+                            share_v[k],
+                            slope_v[k],
+                        )
+                        adj_u += change_u
+                        adj_v += change_v
+                else:  # unrolled it would take minutes to compile
+                    for k in range(taps):
+                        change_u, change_v = of_nodes(
+                            grid,
+                            adj_grid_out,
+                            beyond,
+                            adj,
+                            b,
+                            j + k,
+                            i,
+                            share_u,
+                            slope_u,
+                            share_v[k],
+                            slope_v[k],
+                        )
+                        adj_u += change_u
+                        adj_v += change_v
                 adj *= inverse_depth
                 here = ti.Vector([adj * adj_u, adj * adj_v, adj * (adj_u * u + adj_v * v)])
                 at_0 += here

@@ -1,5 +1,6 @@
 """What Taichi adds to the rules for backends: one runtime a process, perhaps the user's, and Vulkan."""
 
+import importlib.util
 import os
 import subprocess
 import sys
@@ -126,6 +127,13 @@ def here():
     return backend, backend.devices()[0]
 
 
+def test_batches_are_shared_between_threads(here):
+    """What ``test_batches.py`` compares bit for bit has then run on several."""
+    backend, device = here
+    backend.synchronize(device)
+    assert runtime.ti.cfg.cpu_max_num_threads >= 2
+
+
 def test_arrays_of_too_many_elements_are_refused(here):
     backend, device = here
     with pytest.raises(ValueError, match=r"fewer than 2\^31 elements, got shape \(65536, 32768\)"):
@@ -159,15 +167,30 @@ def test_double_precision_where_there_is_none(here, monkeypatch):
     assert backend.supports("bin_events", np.float32, device) is None
 
 
+def specified(*options, **environment):
+    """Compare operations with the specification in a process of its own; give whether a test passed."""
+    command = [sys.executable, "-m", "pytest", "-q", "-p", "no:cacheprovider", *options]
+    command.append(str(KERNEL_TESTS / "test_specification.py"))
+    environment = {**os.environ, **environment}
+    done = subprocess.run(command, capture_output=True, text=True, timeout=280, check=False, env=environment)
+    assert done.returncode == 0, done.stdout[-4000:] + done.stderr[-2000:]
+    return " passed" in done.stdout
+
+
 def test_every_operation_on_vulkan(vulkan, request):
     """Against the specification, in its own process; ``--device vulkan`` runs all tests there."""
     if request.config.getoption("device"):
         pytest.skip("--device says where the tests run")
-    command = [sys.executable, "-m", "pytest", "-q", "-p", "no:cacheprovider", "--device", "vulkan"]
-    command += ["-k", "taichi-vulkan", str(KERNEL_TESTS / "test_specification.py")]
-    done = subprocess.run(command, capture_output=True, text=True, timeout=280, check=False)
-    assert done.returncode == 0, done.stdout[-4000:] + done.stderr[-2000:]
-    assert " passed" in done.stdout
+    assert specified("-k", "taichi-vulkan", "--device", "vulkan")
+
+
+def test_every_operation_of_the_fork(request):
+    """Quadrants, where it is installed, against the specification too."""
+    if not importlib.util.find_spec("quadrants"):
+        pytest.skip("quadrants is not installed")
+    if request.config.getoption("device"):
+        pytest.skip("--device says where the tests run")
+    assert specified("-k", "taichi-cpu", EVQR_TAICHI="quadrants")
 
 
 def test_a_recording_is_read_on_vulkan(vulkan):
