@@ -2,16 +2,7 @@
 
 from functools import cache
 
-from evqr_kernels.taichi_backend.language import (
-    CPU_BLOCK,
-    GPU_BLOCK,
-    array,
-    float_of,
-    is_on_cpu,
-    row_of,
-    run_at,
-    ti,
-)
+from evqr_kernels.taichi_backend.language import array, block_of, float_of, row_of, run_at, ti
 from evqr_kernels.taichi_backend.launches import launch
 from evqr_kernels.taichi_backend.sums import add_partials
 
