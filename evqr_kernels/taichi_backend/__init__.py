@@ -35,7 +35,7 @@ from evqr_kernels.taichi_backend import (
     templates,
 )
 from evqr_kernels.taichi_backend.arrays import DeviceArray, write
-from evqr_kernels.taichi_backend.language import DTYPES, ti
+from evqr_kernels.taichi_backend.language import CPU_BLOCK, DTYPES, GPU_BLOCK, ti
 from evqr_kernels.taichi_backend.launches import LOCK, compile_kernel, launch, record
 
 TAPS = 5
@@ -135,9 +135,16 @@ class TaichiBackend:
         """None when the operation can run, otherwise the reason why not."""
         if op not in OPS:
             return f"no operation {op!r}"
-        if np.dtype(dtype) not in (np.dtype(np.float32), np.dtype(np.float64)):
-            return f"dtype {np.dtype(dtype)} is neither float32 nor float64"
-        return None if device in self.devices() else f"no device {device!r}"
+        dtype = np.dtype(dtype)
+        if dtype not in (np.dtype(np.float32), np.dtype(np.float64)):
+            return f"dtype {dtype} is neither float32 nor float64"
+        if device not in self.devices():
+            return f"no device {device!r}"
+        if dtype == np.float64 and not runtime.has_float64(device):
+            return (
+                f"{device} computes in float32 only, not in float64: give float32 arrays, or another device"
+            )
+        return None
 
     def needs_compile(self, device: str = "cpu", kernels: KernelSet = DEFAULT_KERNELS) -> bool:
         """Whether `load` is still to be called, which takes a second even from Taichi's own cache."""
@@ -158,11 +165,12 @@ def _kernels(kernels: KernelSet) -> list[Any]:
     """List the kernels that reading a code, one window at a time, launches."""
     f32 = ti.f32
     on_cpu = runtime.running_on() == "cpu"
+    block = CPU_BLOCK if on_cpu else GPU_BLOCK
     return [
         splat.make_bin_events(f32, not on_cpu, on_cpu),
         lag.make_deposit_events(f32, not on_cpu, on_cpu),
-        lag.make_lag_rows(f32, TAPS),
-        lag.make_lag_columns(f32, TAPS),
+        lag.make_lag_rows(f32, TAPS, min(block, lag.MOST_CELLS)),
+        lag.make_lag_columns(f32, TAPS, min(block, lag.MOST_CELLS)),
         motion.make_clip_rows(f32),
         motion.make_correlate_rows(f32),
         motion.make_add_rows(f32),
@@ -171,17 +179,17 @@ def _kernels(kernels: KernelSet) -> list[Any]:
         images.make_limit(f32, on_cpu),
         images.make_clip_rows(f32),
         images.make_reduce_image(f32),
-        images.make_mix_images(f32),
-        templates.make_running_squares(f32),
+        images.make_mix_images(f32, block),
+        templates.make_running_squares(f32, block),
         templates.make_quiet_floor(f32, on_cpu),
-        templates.make_correlate_basis(f32),
+        templates.make_correlate_basis(f32, block),
         templates.make_best_template(f32),
         peaks.make_local_maxima(f32),
         peaks.make_merge_maxima(f32, on_cpu),
         peaks.make_match_corners(f32),
         *(align.make_align_poses(f32, kernels.table_columns, alone) for alone in {False, on_cpu}),
         code.make_sample_rows(f32),
-        code.make_fold_columns(f32),
+        code.make_fold_columns(f32, code.BLOCK),
         *solve.make_kernels(f32, on_cpu),
     ]
 

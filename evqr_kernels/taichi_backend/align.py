@@ -2,7 +2,7 @@
 
 from functools import cache
 
-from evqr_kernels.taichi_backend.language import array, float_of, is_alone, ti
+from evqr_kernels.taichi_backend.language import array, float_of, is_alone, run_at, ti
 from evqr_kernels.taichi_backend.launches import launch
 from evqr_kernels.taichi_backend.pose import make_bilinear, make_project
 
@@ -86,8 +86,9 @@ def make_align_poses(dtype, columns: int, alone: bool):
                     x, y = project(pose_inout, h, points[s, 0], points[s, 1])
                     e = bilinear(image, b, x, y)
                     if e != dtype(0.0):
+                        at = run_at(s * columns)
                         for c in ti.static(range(columns)):
-                            moments[c] += e * table[s, c]
+                            moments[c] += e * table[0, at + c]
                         energy += e * e
                 guu = gram[first, first]
                 guv = gram[first, second]

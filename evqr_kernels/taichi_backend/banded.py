@@ -2,8 +2,14 @@
 
 from functools import cache
 
-from evqr_kernels.taichi_backend.language import array, float_of, is_alone, ti
+from evqr_kernels.taichi_backend.language import array, float_of, is_alone, is_on_cpu, ti
 from evqr_kernels.taichi_backend.launches import launch
+
+MOST_ROUNDS = 1 << 15
+"""Rounds of all its loops that a GPU's thread makes in one launch.
+
+Systems end what takes longer than a second or so; Mesa's Vulkan on a CPU ends loops after 65535 rounds.
+"""
 
 
 @cache
@@ -21,31 +27,33 @@ def make_row_product(dtype):
 
 
 @cache
-def make_solve_banded(dtype, alone: bool):
-    """Build the solution; one thread per window."""
+def make_factor_rows(dtype, alone: bool):
+    """Build the factorisation of some rows, and their forward substitution; one thread per window."""
     row_product = make_row_product(dtype)
 
     @ti.kernel
-    def solve_banded(
+    def factor_rows(
         rhs: array(dtype, 3),
         stencil: array(dtype, 3),
         damping: array(dtype, 1),
         free: array(ti.i32, 2),
-        band_out: array(dtype, 3),
+        first_row: ti.i32,
+        end_row: ti.i32,
+        band_inout: array(dtype, 3),
         q_inout: array(dtype, 3),
     ):
         ti.loop_config(serialize=alone)
         for b in range(rhs.shape[0]):
             side = free.shape[0]
             reach = stencil.shape[1] // 2
-            width = band_out.shape[2] - 1
-            for i in range(side * side):
+            width = band_inout.shape[2] - 1
+            for i in range(first_row, end_row):
                 row = i // side
                 column = i - row * side
                 begin = ti.max(0, i - width)
                 for j in range(begin, i):
-                    band_out[b, i, width + j - i] = dtype(0.0)
-                band_out[b, i, width] = dtype(1.0)
+                    band_inout[b, i, width + j - i] = dtype(0.0)
+                band_inout[b, i, width] = dtype(1.0)
                 if free[row, column] != 0:
                     # the matrix's row up to the diagonal, and what fixed modules leave on the other side
                     value = -rhs[b, row, column]
@@ -57,41 +65,75 @@ def make_solve_banded(dtype, alone: bool):
                             if free[r, c] == 0:
                                 value -= entry * q_inout[b, r, c]
                             elif r * side + c < i:
-                                band_out[b, i, width + r * side + c - i] = entry
+                                band_inout[b, i, width + r * side + c - i] = entry
                     for j in range(begin, i):
                         r = j // side
                         c = j - r * side
                         # rows of fixed modules stay as they are
                         if free[r, c] != 0:
                             first = ti.max(begin, j - width)
-                            entry = band_out[b, i, width + j - i]
+                            entry = band_inout[b, i, width + j - i]
                             entry -= row_product(
-                                band_out, b, i, width + first - i, j, width + first - j, j - first
+                                band_inout, b, i, width + first - i, j, width + first - j, j - first
                             )
-                            entry /= band_out[b, j, width]
-                            band_out[b, i, width + j - i] = entry
+                            entry /= band_inout[b, j, width]
+                            band_inout[b, i, width + j - i] = entry
                             value -= entry * q_inout[b, r, c]
-                    squares = row_product(band_out, b, i, width + begin - i, i, width + begin - i, i - begin)
+                    squares = row_product(
+                        band_inout, b, i, width + begin - i, i, width + begin - i, i - begin
+                    )
                     diagonal = ti.sqrt(stencil[b, reach, reach] + damping[b] - squares)
-                    band_out[b, i, width] = diagonal
+                    band_inout[b, i, width] = diagonal
                     q_inout[b, row, column] = value / diagonal
-            for back in range(side * side):
-                i = side * side - 1 - back
+
+    return factor_rows
+
+
+@cache
+def make_substitute_rows(dtype, alone: bool):
+    """Build the backward substitution of some rows; one thread per window."""
+
+    @ti.kernel
+    def substitute_rows(
+        band: array(dtype, 3),
+        free: array(ti.i32, 2),
+        first_row: ti.i32,
+        end_row: ti.i32,
+        q_inout: array(dtype, 3),
+    ):
+        ti.loop_config(serialize=alone)
+        for b in range(q_inout.shape[0]):
+            side = free.shape[0]
+            width = band.shape[2] - 1
+            for back in range(end_row - first_row):
+                i = end_row - 1 - back
                 row = i // side
                 column = i - row * side
                 if free[row, column] != 0:
-                    value = q_inout[b, row, column] / band_out[b, i, width]
+                    value = q_inout[b, row, column] / band[b, i, width]
                     q_inout[b, row, column] = value
                     for j in range(ti.max(0, i - width), i):
                         r = j // side
                         c = j - r * side
                         if free[r, c] != 0:
-                            q_inout[b, r, c] = q_inout[b, r, c] - band_out[b, i, width + j - i] * value
+                            q_inout[b, r, c] = q_inout[b, r, c] - band[b, i, width + j - i] * value
 
-    return solve_banded
+    return substitute_rows
+
+
+def rows_a_launch(band) -> int:
+    """Choose how many rows a launch does: on the CPU all, elsewhere what a thread may do in one go."""
+    _, rows, width = band.shape
+    return rows if is_on_cpu(band) else max(1, MOST_ROUNDS // (width * width))
 
 
 def solve_code_banded(rhs, stencil, damping, free, band_out, q_inout) -> None:
     """Launch; q is updated in place, the band is scratch."""
-    kernel = make_solve_banded(float_of(rhs), is_alone(rhs))
-    launch(kernel, rhs, stencil, damping, free, band_out, q_inout)
+    dtype, alone = float_of(rhs), is_alone(rhs)
+    factor, substitute = make_factor_rows(dtype, alone), make_substitute_rows(dtype, alone)
+    rows, step = band_out.shape[1], rows_a_launch(band_out)
+    blocks = [(first, min(first + step, rows)) for first in range(0, rows, step)]
+    for block in blocks:
+        launch(factor, rhs, stencil, damping, free, *block, band_out, q_inout)
+    for block in reversed(blocks):
+        launch(substitute, band_out, free, *block, q_inout)

@@ -2,9 +2,12 @@
 
 from functools import cache
 
-from evqr_kernels.taichi_backend.language import array, float_of, ti
+from evqr_kernels.taichi_backend.language import array, float_of, row_of, row_of_plane, run_at, ti
 from evqr_kernels.taichi_backend.launches import launch
 from evqr_kernels.taichi_backend.pose import make_bilinear, make_project
+
+BLOCK = 8
+"""Neighbouring samples, or modules where there are as many, done together."""
 
 
 @cache
@@ -33,9 +36,20 @@ def make_sample_rows(dtype):
             before = (support - samples_a_module) // 2
             for j in range(rows_out.shape[3]):
                 first = j * samples_a_module - before
-                total = dtype(0.0)
-                total_slope = dtype(0.0)
-                for k in range(ti.max(0, -first), ti.min(support, count - first)):
+                begin = ti.max(0, -first)
+                end = ti.min(support, count - first)
+                whole = (end - begin) // BLOCK
+                by_profile = ti.Vector.zero(dtype, BLOCK)
+                by_slope = ti.Vector.zero(dtype, BLOCK)
+                for m in range(whole):
+                    tap = run_at(begin + BLOCK * m)
+                    at = run_at(row_of(samples_out, b, row) + first + begin + BLOCK * m)
+                    for p in ti.static(range(BLOCK)):
+                        by_profile[p] += samples_out[0, 0, at + p] * profile[tap + p]
+                        by_slope[p] += samples_out[0, 0, at + p] * slope[tap + p]
+                total = by_profile.sum()
+                total_slope = by_slope.sum()
+                for k in range(begin + BLOCK * whole, end):
                     e = samples_out[b, row, first + k]
                     total += e * profile[k]
                     total_slope += e * slope[k]
@@ -46,8 +60,12 @@ def make_sample_rows(dtype):
 
 
 @cache
-def make_fold_columns(dtype):
-    """Build the second pass; one thread per (window, row of modules)."""
+def make_fold_columns(dtype, block: int):
+    """Build the second pass; one thread per (window, row of modules).
+
+    The last block of a row ends with the row and may overlap the one before: the same modules with the same
+    result.
+    """
 
     @ti.kernel
     def fold_columns(
@@ -59,14 +77,25 @@ def make_fold_columns(dtype):
         rhs_out: array(dtype, 3),
     ):
         for b, i in ti.ndrange(rhs_out.shape[0], rhs_out.shape[1]):
+            modules = rhs_out.shape[2]
             support = profile.shape[0]
             first = i * samples_a_module - (support - samples_a_module) // 2
-            for j in range(rhs_out.shape[2]):
-                total = dtype(0.0)
-                for s in range(ti.max(0, -first), ti.min(support, rows.shape[2] - first)):
-                    total += (gain[b, 0] * profile[s]) * rows[b, 1, first + s, j]
-                    total += (gain[b, 1] * slope[s]) * rows[b, 0, first + s, j]
-                rhs_out[b, i, j] = total
+            begin = ti.max(0, -first)
+            end = ti.min(support, rows.shape[2] - first)
+            for k in range((modules + block - 1) // block):
+                j = ti.min(block * k, modules - block)
+                total = ti.Vector.zero(dtype, block)
+                for s in range(begin, end):
+                    by_slope = gain[b, 0] * profile[s]
+                    by_profile = gain[b, 1] * slope[s]
+                    slopes = run_at(row_of_plane(rows, b, 1, first + s) + j)
+                    values = run_at(row_of_plane(rows, b, 0, first + s) + j)
+                    for p in ti.static(range(block)):
+                        total[p] += by_slope * rows[0, 0, 0, slopes + p]
+                        total[p] += by_profile * rows[0, 0, 0, values + p]
+                to = run_at(row_of(rhs_out, b, i) + j)
+                for p in ti.static(range(block)):
+                    rhs_out[0, 0, to + p] = total[p]
 
     return fold_columns
 
@@ -78,4 +107,5 @@ def code_rhs(
     dtype = float_of(image)
     first = make_sample_rows(dtype)
     launch(first, image, pose, lattice, profile, slope, samples_a_module, samples_out, rows_out)
-    launch(make_fold_columns(dtype), rows_out, profile, slope, gain, samples_a_module, rhs_out)
+    fold = make_fold_columns(dtype, BLOCK if rhs_out.shape[2] >= BLOCK else 1)
+    launch(fold, rows_out, profile, slope, gain, samples_a_module, rhs_out)

@@ -2,7 +2,7 @@
 
 from functools import cache
 
-from evqr_kernels.taichi_backend.language import array, float_of, is_alone, ti
+from evqr_kernels.taichi_backend.language import array, block_of, float_of, is_alone, row_of, run_at, ti
 from evqr_kernels.taichi_backend.launches import launch
 
 
@@ -108,21 +108,30 @@ def reduce_image(image, ratio: float, rows_out, image_out) -> None:
 
 
 @cache
-def make_mix_images(dtype):
+def make_mix_images(dtype, block: int):
     """Build the mixing; one thread per (result, row)."""
 
     @ti.kernel
     def mix_images(images: array(dtype, 3), weight: array(dtype, 2), images_out: array(dtype, 3)):
         for n, y in ti.ndrange(images_out.shape[0], images_out.shape[1]):
-            for x in range(images_out.shape[2]):
-                total = dtype(0.0)
-                for k in range(weight.shape[1]):
-                    total += weight[n, k] * images[k, y, x]
-                images_out[n, y, x] = total
+            width = images_out.shape[2]
+            for k in range((width + block - 1) // block):
+                # the last block overlaps the one before: what they share is written twice, alike
+                x = ti.min(block * k, width - block)
+                total = ti.Vector.zero(dtype, block)
+                for m in range(weight.shape[1]):
+                    share = weight[n, m]
+                    at = run_at(row_of(images, m, y) + x)
+                    for p in ti.static(range(block)):
+                        total[p] += share * images[0, 0, at + p]
+                to = run_at(row_of(images_out, n, y) + x)
+                for p in ti.static(range(block)):
+                    images_out[0, 0, to + p] = total[p]
 
     return mix_images
 
 
 def mix_images(images, weight, images_out) -> None:
     """Launch; overwrites."""
-    launch(make_mix_images(float_of(images)), images, weight, images_out)
+    kernel = make_mix_images(float_of(images), block_of(images, images_out.shape[2]))
+    launch(kernel, images, weight, images_out)

@@ -2,10 +2,13 @@
 
 from functools import cache
 
-from evqr_kernels.taichi_backend.language import array, float_of, ti
+from evqr_kernels.taichi_backend.language import array, block_of, float_of, row_of, row_of_plane, run_at, ti
 from evqr_kernels.taichi_backend.launches import launch
 from evqr_kernels.taichi_backend.splat import events_a_thread, make_add, owners
 from evqr_kernels.taichi_backend.transport import make_transport
+
+MOST_CELLS = 8
+"""Neighbouring cells done together, at most: of twice as many the compiler makes no vectors."""
 
 
 @cache
@@ -63,12 +66,8 @@ def deposit_events(x, y, t, weight, window_ptr, motion, frame, deposit_out) -> N
 
 
 @cache
-def make_lag_rows(dtype, size: int):
-    """Build the pass along rows for so many taps; one thread per (image, row).
-
-    A thread slides a window of as many cells as there are taps along the row, in registers: of both deposits
-    together, and of both weighted with their lags.
-    """
+def make_lag_rows(dtype, size: int, block: int):
+    """Build the pass along rows for so many taps; one thread per (image, row)."""
     reach = size // 2
 
     @ti.kernel
@@ -86,53 +85,64 @@ def make_lag_rows(dtype, size: int):
             direction_y = direction[n, 1]
             lag_on = lag[n, 0]
             lag_off = lag[n, 1]
-            blur = ti.Vector([taps[0, i] for i in range(size)])
-            slope = ti.Vector([taps[1, i] for i in range(size)])
-            both = ti.Vector.zero(dtype, size)
-            lagging = ti.Vector.zero(dtype, size)
-            for x in range(rows_out.shape[3]):
-                for i in ti.static(range(size - 1)):
-                    both[i] = both[i + 1]
-                    lagging[i] = lagging[i + 1]
-                on = deposit[b, 0, y, x]
-                off = deposit[b, 1, y, x]
-                both[size - 1] = on + off
-                lagging[size - 1] = lag_on * on + lag_off * off
-                if x >= size - 1:
-                    rows_out[n, 0, y, x - reach] = blur.dot(both) - direction_x * slope.dot(lagging)
-                    rows_out[n, 1, y, x - reach] = -direction_y * blur.dot(lagging)
+            width = rows_out.shape[3]
+            for k in range((width - 2 * reach + block - 1) // block):
+                # the last block ends with the row; what it shares with the one before is written twice, alike
+                x = ti.min(reach + block * k, width - reach - block)
+                along = ti.Vector.zero(dtype, block)
+                across = ti.Vector.zero(dtype, block)
+                for i in range(size):
+                    blur = taps[0, i]
+                    along_on = blur - direction_x * lag_on * taps[1, i]
+                    along_off = blur - direction_x * lag_off * taps[1, i]
+                    across_on = -direction_y * lag_on * blur
+                    across_off = -direction_y * lag_off * blur
+                    on_at = run_at(row_of_plane(deposit, b, 0, y) + x + i - reach)
+                    off_at = run_at(row_of_plane(deposit, b, 1, y) + x + i - reach)
+                    for p in ti.static(range(block)):
+                        along[p] += along_on * deposit[0, 0, 0, on_at + p]
+                        across[p] += across_on * deposit[0, 0, 0, on_at + p]
+                    for p in ti.static(range(block)):
+                        along[p] += along_off * deposit[0, 0, 0, off_at + p]
+                        across[p] += across_off * deposit[0, 0, 0, off_at + p]
+                to = run_at(row_of_plane(rows_out, n, 0, y) + x)
+                for p in ti.static(range(block)):
+                    rows_out[0, 0, 0, to + p] = along[p]
+                to = run_at(row_of_plane(rows_out, n, 1, y) + x)
+                for p in ti.static(range(block)):
+                    rows_out[0, 0, 0, to + p] = across[p]
 
     return lag_rows
 
 
 @cache
-def make_lag_columns(dtype, size: int):
-    """Build the pass along columns for so many taps; one thread per (image, column), as the rows."""
+def make_lag_columns(dtype, size: int, block: int):
+    """Build the pass along columns for so many taps; one thread per (image, row)."""
     reach = size // 2
 
     @ti.kernel
     def lag_columns(rows: array(dtype, 4), taps: array(dtype, 2), image_out: array(dtype, 3)):
-        for n, x in ti.ndrange(image_out.shape[0], image_out.shape[2]):
+        for n, y in ti.ndrange(image_out.shape[0], image_out.shape[1]):
             height = image_out.shape[1]
-            inside = x >= reach and x < image_out.shape[2] - reach
-            blur = ti.Vector([taps[0, i] for i in range(size)])
-            slope = ti.Vector([taps[1, i] for i in range(size)])
-            along = ti.Vector.zero(dtype, size)
-            across = ti.Vector.zero(dtype, size)
-            for y in range(ti.min(reach, height)):
-                image_out[n, y, x] = dtype(0.0)
-                image_out[n, height - 1 - y, x] = dtype(0.0)
-            for y in range(height):
-                for i in ti.static(range(size - 1)):
-                    along[i] = along[i + 1]
-                    across[i] = across[i + 1]
-                along[size - 1] = rows[n, 0, y, x]
-                across[size - 1] = rows[n, 1, y, x]
-                if y >= size - 1:
-                    total = dtype(0.0)
-                    if inside:
-                        total = blur.dot(along) + slope.dot(across)
-                    image_out[n, y - reach, x] = total
+            width = image_out.shape[2]
+            inside = y >= reach and y < height - reach
+            for i in range(reach):
+                image_out[n, y, i] = dtype(0.0)
+                image_out[n, y, width - 1 - i] = dtype(0.0)
+            for k in range((width - 2 * reach + block - 1) // block):
+                x = ti.min(reach + block * k, width - reach - block)
+                total = ti.Vector.zero(dtype, block)
+                if inside:
+                    for j in range(size):
+                        blur = taps[0, j]
+                        slope = taps[1, j]
+                        along = run_at(row_of_plane(rows, n, 0, y + j - reach) + x)
+                        across = run_at(row_of_plane(rows, n, 1, y + j - reach) + x)
+                        for p in ti.static(range(block)):
+                            total[p] += blur * rows[0, 0, 0, along + p] + slope * rows[0, 0, 0, across + p]
+                to = run_at(row_of(image_out, n, y) + x)
+                for p in ti.static(range(block)):
+                    image_out[0, 0, to + p] = total[p]
 
     return lag_columns
 
@@ -140,5 +150,6 @@ def make_lag_columns(dtype, size: int):
 def lag_operator(deposit, deposit_idx, direction, lag, taps, rows_out, image_out) -> None:
     """Launch both passes; overwrites."""
     dtype, size = float_of(deposit), taps.shape[1]
-    launch(make_lag_rows(dtype, size), deposit, deposit_idx, direction, lag, taps, rows_out)
-    launch(make_lag_columns(dtype, size), rows_out, taps, image_out)
+    block = min(block_of(deposit, image_out.shape[2] - size), MOST_CELLS)
+    launch(make_lag_rows(dtype, size, block), deposit, deposit_idx, direction, lag, taps, rows_out)
+    launch(make_lag_columns(dtype, size, block), rows_out, taps, image_out)

@@ -2,7 +2,7 @@
 
 from functools import cache
 
-from evqr_kernels.taichi_backend.language import array, float_of, is_alone, ti
+from evqr_kernels.taichi_backend.language import array, float_of, is_alone, row_of_plane, run_at, ti
 from evqr_kernels.taichi_backend.launches import launch
 
 BLOCK = 16
@@ -64,13 +64,16 @@ def make_correlate_rows(dtype):
                 inside = ti.select(other == y - radius + j, count, 0)
                 for k in range(columns // BLOCK):
                     total = ti.Vector.zero(dtype, BLOCK)
+                    row = row_of_plane(images, b, 1, other) - radius + BLOCK * k
                     for n in range(inside):
                         x = found_out[b, y, n]
                         value = images[b, 0, y, x]
+                        at = run_at(row + x)
                         for p in ti.static(range(BLOCK)):
-                            total[p] += value * images[b, 1, other, x - radius + BLOCK * k + p]
+                            total[p] += value * images[0, 0, 0, at + p]
+                    to = run_at(row_of_plane(rows_out, b, y, j) + BLOCK * k)
                     for p in ti.static(range(BLOCK)):
-                        rows_out[b, y, j, BLOCK * k + p] = total[p]
+                        rows_out[0, 0, 0, to + p] = total[p]
             for k in range(width - (last - first)):  # the others
                 x = ti.select(k < first, k, last + k - first)
                 value = images[b, 0, y, x]
@@ -100,11 +103,16 @@ def make_add_rows(dtype):
         energy_out: array(dtype, 2),
     ):
         for b, j in ti.ndrange(correlation_out.shape[0], correlation_out.shape[1]):
-            for i in range(correlation_out.shape[2]):
-                total = dtype(0.0)
+            shifts = correlation_out.shape[2]
+            for k in range(rows.shape[3] // BLOCK):
+                total = ti.Vector.zero(dtype, BLOCK)
                 for y in range(rows.shape[1]):
-                    total += rows[b, y, j, i]
-                correlation_out[b, j, i] = total
+                    at = run_at(row_of_plane(rows, b, y, j) + BLOCK * k)
+                    for p in ti.static(range(BLOCK)):
+                        total[p] += rows[0, 0, 0, at + p]
+                for p in ti.static(range(BLOCK)):
+                    if BLOCK * k + p < shifts:
+                        correlation_out[b, j, BLOCK * k + p] = total[p]
             if j == 0:
                 for image in range(2):
                     energy = dtype(0.0)

@@ -2,7 +2,7 @@
 
 from functools import cache
 
-from evqr_kernels.taichi_backend.language import array, float_of, ti
+from evqr_kernels.taichi_backend.language import array, float_of, row_of, run_at, ti
 from evqr_kernels.taichi_backend.launches import launch
 
 
@@ -43,10 +43,12 @@ def make_bilinear(dtype):
             column = int(x)
             row = int(y)
             fy = y - dtype(row)
-            left = image[b, row, column]
-            left += fy * (image[b, row + 1, column] - left)
-            right = image[b, row, column + 1]
-            right += fy * (image[b, row + 1, column + 1] - right)
+            at = run_at(row_of(image, b, row) + column)
+            below = run_at(row_of(image, b, row + 1) + column)
+            left = image[0, 0, at]
+            left += fy * (image[0, 0, below] - left)
+            right = image[0, 0, at + 1]
+            right += fy * (image[0, 0, below + 1] - right)
             value = left + (x - dtype(column)) * (right - left)
         return value
 
@@ -80,8 +82,9 @@ def make_moments_of_chunks(dtype, columns: int):
                     x, y = project(pose, h, points[s, 0], points[s, 1])
                     e = bilinear(image, b, x, y)
                     if e != dtype(0.0):
+                        at = run_at(s * columns)
                         for c in ti.static(range(columns)):
-                            moments[c] += e * table[s, c]
+                            moments[c] += e * table[0, at + c]
                         energy += e * e
                 for c in ti.static(range(columns)):
                     chunks_out[h, chunk, c] = moments[c]

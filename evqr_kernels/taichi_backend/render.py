@@ -3,7 +3,7 @@
 import math
 from functools import cache
 
-from evqr_kernels.taichi_backend.language import array, float_of, ti
+from evqr_kernels.taichi_backend.language import array, float_of, row_of, run_at, ti
 from evqr_kernels.taichi_backend.launches import launch
 from evqr_kernels.taichi_backend.transcendental import make_erf, make_exp
 
@@ -28,20 +28,24 @@ def taps_of(sigma: float) -> int:
     return math.ceil(2.0 * reach_of(sigma)) if sigma else 2
 
 
+@ti.func
+def map_of(to_grid: ti.template(), b, parameters: ti.template()):
+    """Give a window's map as a vector."""
+    return ti.Vector([to_grid[b, k] for k in range(parameters)])
+
+
 @cache
 def make_look(dtype, parameters: int):
     """Build the function that maps a pixel to the grid: u, v, and 1 / d or 0 where d is not positive."""
 
     @ti.func
-    def look(w: ti.template(), b, x, y):
-        u = w[b, 0] * x + (w[b, 1] * y + w[b, 2])
-        v = w[b, 3] * x + (w[b, 4] * y + w[b, 5])
+    def look(w, x, y):
+        u = w[0] * x + (w[1] * y + w[2])
+        v = w[3] * x + (w[4] * y + w[5])
         inverse_depth = dtype(1.0)
         if ti.static(parameters == 8):
-            depth = w[b, 6] * x + (w[b, 7] * y + dtype(1.0))
-            inverse_depth = dtype(0.0)
-            if depth > dtype(0.0):
-                inverse_depth = dtype(1.0) / depth
+            depth = w[6] * x + (w[7] * y + dtype(1.0))
+            inverse_depth = ti.select(depth > dtype(0.0), dtype(1.0) / depth, dtype(0.0))
             u *= inverse_depth
             v *= inverse_depth
         return u, v, inverse_depth
@@ -79,8 +83,9 @@ def make_edge(dtype):
         if z >= dtype(EDGE):
             value = dtype(1.0)
         elif z > dtype(-EDGE):
-            value = dtype(0.5) + dtype(0.5 * STRETCH) * erf(z * dtype(INVERSE_SQRT2))
-            slope = dtype(DENSITY) * exp(dtype(-0.5) * z * z)
+            gauss = exp(dtype(-0.5) * z * z)
+            value = dtype(0.5) + dtype(0.5 * STRETCH) * erf(z * dtype(INVERSE_SQRT2), gauss)
+            slope = dtype(DENSITY) * gauss
         return value, slope
 
     return edge
@@ -105,7 +110,7 @@ def make_profile(dtype, taps: int):
         value = ti.Vector.zero(dtype, taps)
         slope = ti.Vector.zero(dtype, taps)
         before, before_slope = edge((u - dtype(first) + dtype(0.5)) * inverse_sigma)
-        for k in range(taps):  # not unrolled: each edge is a series
+        for k in range(taps):
             after, after_slope = edge((u - dtype(first + k) - dtype(0.5)) * inverse_sigma)
             value[k] = before - after
             slope[k] = (before_slope - after_slope) * inverse_sigma
@@ -116,13 +121,26 @@ def make_profile(dtype, taps: int):
     return bilinear if taps == 2 else smooth
 
 
-@ti.func
-def node(grid: ti.template(), outside: ti.template(), b, j, i):
-    """Look a node up, which may lie beyond the grid."""
-    value = outside[b]
-    if j >= 0 and i >= 0 and j < grid.shape[1] and i < grid.shape[2]:
-        value = grid[b, j, i]
-    return value
+@cache
+def make_row_of_nodes(dtype, taps: int):
+    """Build the look-up of ``taps`` nodes of a row, which may lie beyond the grid."""
+
+    @ti.func
+    def row_of_nodes(grid: ti.template(), beyond, b, j, i):
+        nodes = ti.Vector([beyond for _ in range(taps)])
+        columns = grid.shape[2]
+        if j >= 0 and j < grid.shape[1]:
+            if i >= 0 and i + taps <= columns:
+                at = run_at(row_of(grid, b, j) + i)
+                for k in ti.static(range(taps)):
+                    nodes[k] = grid[0, 0, at + k]
+            else:
+                for k in ti.static(range(taps)):
+                    if i + k >= 0 and i + k < columns:
+                        nodes[k] = grid[b, j, i + k]
+        return nodes
+
+    return row_of_nodes
 
 
 @cache
@@ -131,6 +149,7 @@ def make_render_code(dtype, parameters: int, taps: int):
     look = make_look(dtype, parameters)
     near = make_near(dtype)
     profile = make_profile(dtype, taps)
+    row_of_nodes = make_row_of_nodes(dtype, taps)
 
     @ti.kernel
     def render_code(
@@ -142,18 +161,19 @@ def make_render_code(dtype, parameters: int, taps: int):
         image_out: array(dtype, 3),
     ):
         for b, y in ti.ndrange(image_out.shape[0], image_out.shape[1]):
+            rows = grid.shape[1]
+            columns = grid.shape[2]
+            beyond = outside[b]
+            w = map_of(to_grid, b, parameters)
             for x in range(image_out.shape[2]):
-                u, v, inverse_depth = look(to_grid, b, dtype(x), dtype(y))
-                value = outside[b]
-                if near(u, v, inverse_depth, reach, grid.shape[1], grid.shape[2]):
+                u, v, inverse_depth = look(w, dtype(x), dtype(y))
+                value = beyond
+                if near(u, v, inverse_depth, reach, rows, columns):
                     i, share_u, _slope_u = profile(u, sigma)
                     j, share_v, _slope_v = profile(v, sigma)
                     value = dtype(0.0)
                     for k in range(taps):
-                        along = dtype(0.0)
-                        for m in range(taps):
-                            along += share_u[m] * node(grid, outside, b, j + k, i + m)
-                        value += share_v[k] * along
+                        value += share_v[k] * share_u.dot(row_of_nodes(grid, beyond, b, j + k, i))
                 image_out[b, y, x] = value
 
     return render_code

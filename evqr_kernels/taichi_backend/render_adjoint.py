@@ -1,18 +1,20 @@
 """Adjoint of ``render_code`` in the grid and in the map; see ``warp_backend/render_adjoint.py``.
 
-Each node gathers from the pixels that can see it, on every device.
+On the CPU one thread owns a window: the pass over pixels adds to the nodes too.  Elsewhere each node gathers
+from the pixels that can see it.
 """
 
 from functools import cache
 
-from evqr_kernels.taichi_backend.language import array, float_of, ti
+from evqr_kernels.taichi_backend.language import array, float_of, is_alone, is_on_cpu, row_of, run_at, ti
 from evqr_kernels.taichi_backend.launches import launch
 from evqr_kernels.taichi_backend.render import (
     make_edge,
     make_look,
     make_near,
     make_profile,
-    node,
+    make_row_of_nodes,
+    map_of,
     reach_of,
     taps_of,
 )
@@ -20,11 +22,135 @@ from evqr_kernels.taichi_backend.sums import add_partials
 
 
 @cache
-def make_adjoint_of_rows(dtype, parameters: int, taps: int):
-    """Build the adjoint in the map; one thread per row of pixels."""
+def make_add_to_row(taps: int):
+    """Build the addition to ``taps`` nodes of a row, which may lie beyond the grid; none else adds there."""
+
+    @ti.func
+    def add_to_row(grid: ti.template(), b, j, i, values):
+        columns = grid.shape[2]
+        if j >= 0 and j < grid.shape[1]:
+            if i >= 0 and i + taps <= columns:
+                at = run_at(row_of(grid, b, j) + i)
+                for k in ti.static(range(taps)):
+                    grid[0, 0, at + k] = grid[0, 0, at + k] + values[k]
+            else:
+                for k in ti.static(range(taps)):
+                    if i + k >= 0 and i + k < columns:
+                        grid[b, j, i + k] = grid[b, j, i + k] + values[k]
+
+    return add_to_row
+
+
+@cache
+def make_adjoint_of_row(dtype, parameters: int, taps: int, scatter: bool):
+    """Build the adjoint of a row of pixels in the map, and with ``scatter`` in the grid, added up there."""
     look = make_look(dtype, parameters)
     near = make_near(dtype)
     profile = make_profile(dtype, taps)
+    row_of_nodes = make_row_of_nodes(dtype, taps)
+    add_to_row = make_add_to_row(taps)
+
+    @ti.func
+    def of_nodes(
+        grid: ti.template(),
+        adj_grid_out: ti.template(),
+        beyond,
+        adj,
+        b,
+        j,
+        i,
+        share_u,
+        slope_u,
+        share,
+        slope,
+    ):
+        """Give what a row of nodes adds to the pixel's slopes; what the pixel adds to them is added there."""
+        nodes = row_of_nodes(grid, beyond, b, j, i)
+        if ti.static(scatter):
+            add_to_row(adj_grid_out, b, j, i, (adj * share) * share_u)
+        return share * slope_u.dot(nodes), slope * share_u.dot(nodes)
+
+    @ti.func
+    def adjoint_of_row(
+        grid: ti.template(),
+        w,
+        beyond,
+        sigma,
+        reach,
+        adj_image: ti.template(),
+        b,
+        y,
+        rows_out: ti.template(),
+        adj_grid_out: ti.template(),
+    ):
+        rows = grid.shape[1]
+        columns = grid.shape[2]
+        # sums of (adj image_du, adj image_dv, adj (image_du u + image_dv v)) / d, plain and times x
+        at_0 = ti.Vector.zero(dtype, 3)
+        at_x = ti.Vector.zero(dtype, 3)
+        for x in range(adj_image.shape[2]):
+            u, v, inverse_depth = look(w, dtype(x), dtype(y))
+            if near(u, v, inverse_depth, reach, rows, columns):
+                i, share_u, slope_u = profile(u, sigma)
+                j, share_v, slope_v = profile(v, sigma)
+                adj = adj_image[b, y, x]
+                adj_u = dtype(0.0)
+                adj_v = dtype(0.0)
+                if ti.static(taps == 2):
+                    for k in ti.static(range(taps)):
+                        change_u, change_v = of_nodes(
+                            grid,
+                            adj_grid_out,
+                            beyond,
+                            adj,
+                            b,
+                            j + k,
+                            i,
+                            share_u,
+                            slope_u,
+                            share_v[k],
+                            slope_v[k],
+                        )
+                        adj_u += change_u
+                        adj_v += change_v
+                else:  # unrolled it would take minutes to compile
+                    for k in range(taps):
+                        change_u, change_v = of_nodes(
+                            grid,
+                            adj_grid_out,
+                            beyond,
+                            adj,
+                            b,
+                            j + k,
+                            i,
+                            share_u,
+                            slope_u,
+                            share_v[k],
+                            slope_v[k],
+                        )
+                        adj_u += change_u
+                        adj_v += change_v
+                adj *= inverse_depth
+                here = ti.Vector([adj * adj_u, adj * adj_v, adj * (adj_u * u + adj_v * v)])
+                at_0 += here
+                at_x += dtype(x) * here
+        rows_out[b, y, 0] = at_x[0]
+        rows_out[b, y, 1] = at_0[0] * dtype(y)
+        rows_out[b, y, 2] = at_0[0]
+        rows_out[b, y, 3] = at_x[1]
+        rows_out[b, y, 4] = at_0[1] * dtype(y)
+        rows_out[b, y, 5] = at_0[1]
+        if ti.static(parameters == 8):
+            rows_out[b, y, 6] = -at_x[2]
+            rows_out[b, y, 7] = -at_0[2] * dtype(y)
+
+    return adjoint_of_row
+
+
+@cache
+def make_adjoint_of_rows(dtype, parameters: int, taps: int):
+    """Build the adjoint in the map; one thread per row of pixels."""
+    adjoint_of_row = make_adjoint_of_row(dtype, parameters, taps, False)
 
     @ti.kernel
     def adjoint_of_rows(
@@ -37,40 +163,39 @@ def make_adjoint_of_rows(dtype, parameters: int, taps: int):
         rows_out: array(dtype, 3),
     ):
         for b, y in ti.ndrange(adj_image.shape[0], adj_image.shape[1]):
-            # sums of (adj image_du, adj image_dv, adj (image_du u + image_dv v)) / d, plain and times x
-            at_0 = ti.Vector.zero(dtype, 3)
-            at_x = ti.Vector.zero(dtype, 3)
-            for x in range(adj_image.shape[2]):
-                u, v, inverse_depth = look(to_grid, b, dtype(x), dtype(y))
-                if near(u, v, inverse_depth, reach, grid.shape[1], grid.shape[2]):
-                    i, share_u, slope_u = profile(u, sigma)
-                    j, share_v, slope_v = profile(v, sigma)
-                    adj_u = dtype(0.0)
-                    adj_v = dtype(0.0)
-                    for k in range(taps):
-                        along = dtype(0.0)
-                        along_slope = dtype(0.0)
-                        for m in range(taps):
-                            q = node(grid, outside, b, j + k, i + m)
-                            along += share_u[m] * q
-                            along_slope += slope_u[m] * q
-                        adj_u += share_v[k] * along_slope
-                        adj_v += slope_v[k] * along
-                    adj = adj_image[b, y, x] * inverse_depth
-                    here = ti.Vector([adj * adj_u, adj * adj_v, adj * (adj_u * u + adj_v * v)])
-                    at_0 += here
-                    at_x += dtype(x) * here
-            rows_out[b, y, 0] = at_x[0]
-            rows_out[b, y, 1] = at_0[0] * dtype(y)
-            rows_out[b, y, 2] = at_0[0]
-            rows_out[b, y, 3] = at_x[1]
-            rows_out[b, y, 4] = at_0[1] * dtype(y)
-            rows_out[b, y, 5] = at_0[1]
-            if ti.static(parameters == 8):
-                rows_out[b, y, 6] = -at_x[2]
-                rows_out[b, y, 7] = -at_0[2] * dtype(y)
+            w = map_of(to_grid, b, parameters)
+            adjoint_of_row(grid, w, outside[b], sigma, reach, adj_image, b, y, rows_out, grid)
 
     return adjoint_of_rows
+
+
+@cache
+def make_adjoint_of_windows(dtype, parameters: int, taps: int, alone: bool):
+    """Build the adjoint in map and grid; one thread per window."""
+    adjoint_of_row = make_adjoint_of_row(dtype, parameters, taps, True)
+
+    @ti.kernel
+    def adjoint_of_windows(
+        grid: array(dtype, 3),
+        to_grid: array(dtype, 2),
+        outside: array(dtype, 1),
+        sigma: dtype,
+        reach: dtype,
+        adj_image: array(dtype, 3),
+        rows_out: array(dtype, 3),
+        adj_grid_out: array(dtype, 3),
+    ):
+        ti.loop_config(serialize=alone)
+        for b in range(adj_image.shape[0]):
+            for j in range(adj_grid_out.shape[1]):
+                for i in range(adj_grid_out.shape[2]):
+                    adj_grid_out[b, j, i] = dtype(0.0)
+            w = map_of(to_grid, b, parameters)
+            beyond = outside[b]
+            for y in range(adj_image.shape[1]):
+                adjoint_of_row(grid, w, beyond, sigma, reach, adj_image, b, y, rows_out, adj_grid_out)
+
+    return adjoint_of_windows
 
 
 @cache
@@ -100,13 +225,13 @@ def make_pixels_around(dtype, parameters: int):
     """
 
     @ti.func
-    def pixels_around(w: ti.template(), b, u, v, reach, height, width):
+    def pixels_around(w, u, v, reach, height, width):
         w6 = dtype(0.0)
         w7 = dtype(0.0)
         if ti.static(parameters == 8):
-            w6 = w[b, 6]
-            w7 = w[b, 7]
-        w0, w1, w2, w3, w4, w5 = w[b, 0], w[b, 1], w[b, 2], w[b, 3], w[b, 4], w[b, 5]
+            w6 = w[6]
+            w7 = w[7]
+        w0, w1, w2, w3, w4, w5 = w[0], w[1], w[2], w[3], w[4], w[5]
         # rows of the adjugate of the map's matrix: its inverse, up to the determinant
         determinant = w0 * (w4 - w5 * w7) - w1 * (w3 - w5 * w6) + w2 * (w3 * w7 - w4 * w6)
         left = dtype(width)
@@ -155,14 +280,13 @@ def make_adjoint_of_nodes(dtype, parameters: int, taps: int):
         adj_grid_out: array(dtype, 3),
     ):
         for b, j, i in ti.ndrange(adj_grid_out.shape[0], adj_grid_out.shape[1], adj_grid_out.shape[2]):
-            around = pixels_around(
-                to_grid, b, dtype(i), dtype(j), reach, adj_image.shape[1], adj_image.shape[2]
-            )
+            w = map_of(to_grid, b, parameters)
+            around = pixels_around(w, dtype(i), dtype(j), reach, adj_image.shape[1], adj_image.shape[2])
             total = dtype(0.0)
             for y in range(around[1], around[3] + 1):
                 along = dtype(0.0)
                 for x in range(around[0], around[2] + 1):
-                    u, v, inverse_depth = look(to_grid, b, dtype(x), dtype(y))
+                    u, v, inverse_depth = look(w, dtype(x), dtype(y))
                     du = u - dtype(i)
                     dv = v - dtype(j)
                     if inverse_depth > dtype(0.0) and ti.abs(du) < reach and ti.abs(dv) < reach:
@@ -176,10 +300,14 @@ def make_adjoint_of_nodes(dtype, parameters: int, taps: int):
 def render_code_adjoint(
     grid, to_grid, outside, sigma: float, adj_image, rows_out, adj_grid_out, adj_to_grid_out
 ) -> None:
-    """Launch; overwrites."""
-    dtype, parameters, taps = float_of(grid), to_grid.shape[1], taps_of(sigma)
-    rows = make_adjoint_of_rows(dtype, parameters, taps)
-    launch(rows, grid, to_grid, outside, sigma, reach_of(sigma), adj_image, rows_out)
+    """Launch the variant that suits the device; overwrites."""
+    dtype, parameters, taps, reach = float_of(grid), to_grid.shape[1], taps_of(sigma), reach_of(sigma)
+    if is_on_cpu(grid):
+        windows = make_adjoint_of_windows(dtype, parameters, taps, is_alone(grid))
+        launch(windows, grid, to_grid, outside, sigma, reach, adj_image, rows_out, adj_grid_out)
+    else:
+        rows = make_adjoint_of_rows(dtype, parameters, taps)
+        launch(rows, grid, to_grid, outside, sigma, reach, adj_image, rows_out)
+        nodes = make_adjoint_of_nodes(dtype, parameters, taps)
+        launch(nodes, to_grid, sigma, reach, adj_image, adj_grid_out)
     add_partials(rows_out, adj_to_grid_out)
-    nodes = make_adjoint_of_nodes(dtype, parameters, taps)
-    launch(nodes, to_grid, sigma, reach_of(sigma), adj_image, adj_grid_out)

@@ -2,7 +2,7 @@
 
 from functools import cache
 
-from evqr_kernels.taichi_backend.language import array, float_of, ti
+from evqr_kernels.taichi_backend.language import array, block_of, float_of, row_of, run_at, ti
 from evqr_kernels.taichi_backend.launches import launch
 from evqr_kernels.taichi_backend.sums import add_partials
 
@@ -23,8 +23,8 @@ def make_slopes(dtype):
 
 
 @cache
-def make_brightness_residual(dtype):
-    """Build the forward kernel; one thread per row."""
+def make_brightness_residual(dtype, block: int):
+    """Build the forward kernel; one thread per row, whose inside it does in blocks."""
     slopes = make_slopes(dtype)
 
     @ti.kernel
@@ -35,16 +35,37 @@ def make_brightness_residual(dtype):
         residual_out: array(dtype, 3),
     ):
         for b, y in ti.ndrange(luminance.shape[0], luminance.shape[1]):
-            for x in range(luminance.shape[2]):
+            motion_x = motion[b, 0]
+            motion_y = motion[b, 1]
+            width = luminance.shape[2]
+            above = row_of(luminance, b, ti.max(y - 1, 0))
+            below = row_of(luminance, b, ti.min(y + 1, luminance.shape[1] - 1))
+            row = row_of(luminance, b, y)
+            blocks = ti.max(width - 2, 0) // block
+            for k in range(blocks):
+                x = 1 + block * k
+                at = run_at(row + x - 1)
+                up = run_at(above + x)
+                down = run_at(below + x)
+                here = run_at(row + x)
+                value = ti.Vector.zero(dtype, block)
+                for p in ti.static(range(block)):
+                    dx = dtype(0.5) * (luminance[0, 0, at + p + 2] - luminance[0, 0, at + p])
+                    dy = dtype(0.5) * (luminance[0, 0, down + p] - luminance[0, 0, up + p])
+                    value[p] = motion_x * dx + motion_y * dy + events_image[0, 0, here + p]
+                for p in ti.static(range(block)):
+                    residual_out[0, 0, here + p] = value[p]
+            for k in range(width - block * blocks):  # the first pixel, and the last ones
+                x = ti.select(k == 0, 0, block * blocks + k)
                 dx, dy = slopes(luminance, b, y, x)
-                residual_out[b, y, x] = motion[b, 0] * dx + motion[b, 1] * dy + events_image[b, y, x]
+                residual_out[b, y, x] = motion_x * dx + motion_y * dy + events_image[b, y, x]
 
     return brightness_residual
 
 
 def brightness_residual(luminance, events_image, motion, residual_out) -> None:
     """Launch; overwrites."""
-    kernel = make_brightness_residual(float_of(luminance))
+    kernel = make_brightness_residual(float_of(luminance), block_of(luminance, luminance.shape[2]))
     launch(kernel, luminance, events_image, motion, residual_out)
 
 

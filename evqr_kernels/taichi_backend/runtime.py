@@ -56,6 +56,22 @@ def require(device: str) -> None:
             )
 
 
+@cache
+def has_float64(device: str) -> bool:
+    """Whether a device computes in float64, which GPUs with Vulkan or Metal need not; starts Taichi there.
+
+    Taichi tells by refusing to compile.
+    """
+    if device == "cpu" or device.startswith("cuda"):
+        return True
+    require(device)
+    try:
+        compile_kernel(make_add_partials(ti.f64))
+    except RuntimeError:
+        return False
+    return True
+
+
 def _start(device: str) -> None:
     if device not in devices():
         raise ValueError(f"device of taichi must be one of {', '.join(devices())}, got {device!r}")

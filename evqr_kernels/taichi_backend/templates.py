@@ -2,29 +2,43 @@
 
 from functools import cache
 
-from evqr_kernels.taichi_backend.language import array, float_of, is_alone, ti
+from evqr_kernels.taichi_backend.language import (
+    array,
+    block_of,
+    float_of,
+    is_alone,
+    row_of,
+    row_of_plane,
+    run_at,
+    ti,
+)
 from evqr_kernels.taichi_backend.launches import launch
 
 TERMS = 5
 """Size of the basis: a finder pattern at eight angles is in it to 0.4 %."""
 
-BLOCK = 4
-"""Neighbouring pixels of which one thread makes the responses, sharing each template load."""
-
 
 @cache
-def make_running_squares(dtype):
-    """Build the running sums of squares down columns, the first 0; one thread per column."""
+def make_running_squares(dtype, block: int):
+    """Build the running sums of squares down columns, the first 0; one thread per block of columns."""
 
     @ti.kernel
     def running_squares(image: array(dtype, 3), squares_out: array(dtype, 3)):
-        for b, x in ti.ndrange(image.shape[0], image.shape[2]):
-            total = dtype(0.0)
-            squares_out[b, 0, x] = total
+        for b, k in ti.ndrange(image.shape[0], (image.shape[2] + block - 1) // block):
+            # the last block overlaps the one before: what they share is written twice, alike
+            x = ti.min(block * k, image.shape[2] - block)
+            total = ti.Vector.zero(dtype, block)
+            to = run_at(row_of(squares_out, b, 0) + x)
+            for p in ti.static(range(block)):
+                squares_out[0, 0, to + p] = total[p]
             for y in range(image.shape[1]):
-                value = image[b, y, x]
-                total += value * value
-                squares_out[b, y + 1, x] = total
+                at = run_at(row_of(image, b, y) + x)
+                to = run_at(row_of(squares_out, b, y + 1) + x)
+                for p in ti.static(range(block)):
+                    value = image[0, 0, at + p]
+                    total[p] += value * value
+                for p in ti.static(range(block)):
+                    squares_out[0, 0, to + p] = total[p]
 
     return running_squares
 
@@ -55,7 +69,7 @@ def make_quiet_floor(dtype, alone: bool):
 
 
 @cache
-def make_correlate_basis(dtype):
+def make_correlate_basis(dtype, block: int):
     """Build the correlation with the basis; one thread per row of blocks.
 
     The last block of a row ends with the row and may overlap the one before: those pixels are computed twice,
@@ -74,26 +88,31 @@ def make_correlate_basis(dtype):
         for b, y in ti.ndrange(sums_out.shape[0], sums_out.shape[2]):
             width = sums_out.shape[3]
             size = spans.shape[0]
-            for k in range((width + BLOCK - 1) // BLOCK):
-                x = ti.min(BLOCK * k, width - BLOCK)
-                energy = ti.Vector.zero(dtype, BLOCK)
+            for k in range((width + block - 1) // block):
+                x = ti.min(block * k, width - block)
+                energy = ti.Vector.zero(dtype, block)
                 for i in range(size):
-                    first = y + spans[i, 0]
-                    last = y + spans[i, 1]
-                    for p in ti.static(range(BLOCK)):
-                        energy[p] += squares[b, last, x + i + p] - squares[b, first, x + i + p]
+                    first = run_at(row_of(squares, b, y + spans[i, 0]) + x + i)
+                    last = run_at(row_of(squares, b, y + spans[i, 1]) + x + i)
+                    for p in ti.static(range(block)):
+                        energy[p] += squares[0, 0, last + p] - squares[0, 0, first + p]
                 if energy.max() > floor[b]:
-                    sums = ti.Matrix.zero(dtype, TERMS, BLOCK)
+                    sums = ti.Matrix.zero(dtype, TERMS, block)
                     for j in range(size):
+                        row = row_of(image, b, y + j) + x
                         for i in range(size):
-                            for p in ti.static(range(BLOCK)):
-                                v = image[b, y + j, x + i + p]
-                                for c in ti.static(range(TERMS)):
-                                    sums[c, p] += basis[j, i, c] * v
-                    for c, p in ti.static(ti.ndrange(TERMS, BLOCK)):
-                        sums_out[b, c, y, x + p] = sums[c, p]
-                for p in ti.static(range(BLOCK)):
-                    sums_out[b, TERMS, y, x + p] = energy[p]
+                            at = run_at(row + i)
+                            for c in ti.static(range(TERMS)):
+                                term = basis[j, i, c]
+                                for p in ti.static(range(block)):
+                                    sums[c, p] += term * image[0, 0, at + p]
+                    for c in ti.static(range(TERMS)):
+                        to = run_at(row_of_plane(sums_out, b, c, y) + x)
+                        for p in ti.static(range(block)):
+                            sums_out[0, 0, 0, to + p] = sums[c, p]
+                to = run_at(row_of_plane(sums_out, b, TERMS, y) + x)
+                for p in ti.static(range(block)):
+                    sums_out[0, 0, 0, to + p] = energy[p]
 
     return correlate_basis
 
@@ -143,8 +162,8 @@ def correlate_templates(
     response_out, angle_out,
 ) -> None:  # fmt: skip
     """Launch the running sums, the floor, the correlation and the choice; overwrites."""
-    dtype = float_of(image)
-    launch(make_running_squares(dtype), image, squares_out)
+    dtype, block = float_of(image), block_of(image, response_out.shape[2])
+    launch(make_running_squares(dtype, block), image, squares_out)
     launch(make_quiet_floor(dtype, is_alone(image)), squares_out, busy, spans, quiet, floor_out)
-    launch(make_correlate_basis(dtype), image, basis, spans, squares_out, floor_out, sums_out)
+    launch(make_correlate_basis(dtype, block), image, basis, spans, squares_out, floor_out, sums_out)
     launch(make_best_template(dtype), sums_out, mix, floor_out, least, response_out, angle_out)

@@ -6,10 +6,10 @@ import sys
 
 import numpy as np
 import pytest
-from backends import BACKENDS
+from backends import BACKENDS, needs
 
 import evqr_kernels
-from evqr_kernels import BackendUnavailable, backend, get_backend, register_backend
+from evqr_kernels import BackendUnavailable, backend, backend_names, get_backend, register_backend
 from evqr_kernels.backend import OPS, require_device
 
 HEAVY = (
@@ -76,13 +76,23 @@ def test_backend_is_complete_and_made_once(name):
     made = get_backend(name)
     assert made is get_backend(name)
     assert made.name == name
-    assert made.devices()[0] == "cpu"
     assert [op for op in OPS if not callable(getattr(made, op, None))] == []
+
+
+def test_the_cpu_comes_first():
+    """In a process of its own: Taichi names the one device that it runs on."""
+    done = run(f"""
+from evqr_kernels import get_backend
+print(*(get_backend(name).devices()[0] for name in {[name for name in backend_names() if not needs(name)]}))
+""")
+    assert set(done.stdout.split()) == {"cpu"}
 
 
 @pytest.mark.parametrize("name", BACKENDS)
 def test_arrays_on_the_cpu_are_the_same_memory(name):
     made = get_backend(name)
+    if "cpu" not in made.devices():
+        pytest.skip(f"{name} runs on {made.devices()[0]} in this process")
     for dtype in (np.float32, np.float64, np.int32):
         host = np.arange(6, dtype=dtype).reshape(2, 3)
         there = made.from_host(host, "cpu")
@@ -142,7 +152,8 @@ def test_auto_cannot_be_registered(registry):
 @pytest.mark.parametrize("name", BACKENDS)
 def test_absent_device_lists_those_there_are(name):
     made = get_backend(name)
-    with pytest.raises(ValueError, match=rf"device of {name} must be one of cpu.*, got 'cuda:99'"):
+    there = ", ".join(made.devices())
+    with pytest.raises(ValueError, match=rf"device of {name} must be one of {there}, got 'cuda:99'"):
         require_device(made, "cuda:99")
     assert "cuda:99" in made.supports("bin_events", np.float32, "cuda:99")
     assert "no operation 'sort'" in made.supports("sort", np.float32, "cpu")
@@ -163,8 +174,9 @@ def test_an_absent_device_is_refused(name):
 @pytest.mark.parametrize("name", BACKENDS)
 def test_nothing_is_left_to_compile_after_loading(name):
     made = get_backend(name)
-    made.load("cpu")
-    assert not made.needs_compile("cpu")
+    device = made.devices()[0]
+    made.load(device)
+    assert not made.needs_compile(device)
 
 
 def test_an_empty_cache_needs_compiling(tmp_path):

@@ -1,5 +1,6 @@
 """What Taichi adds to the rules for backends: one runtime a process, perhaps the user's, and Vulkan."""
 
+import importlib.util
 import os
 import subprocess
 import sys
@@ -10,9 +11,10 @@ import numpy as np
 import pytest
 from backends import needs
 
-from evqr_kernels import get_backend
+from evqr_kernels import bin_events, get_backend
 
 pytestmark = needs("taichi")
+runtime = pytest.importorskip("evqr_kernels.taichi_backend.runtime", exc_type=ImportError)
 
 KERNEL_TESTS = Path(__file__).parent
 
@@ -118,35 +120,77 @@ except BackendUnavailable as error:
     assert "EVQR_TAICHI must be taichi or quadrants, got 'tai-chi'" in run(code)
 
 
-def test_arrays_of_too_many_elements_are_refused():
-    with pytest.raises(ValueError, match=r"fewer than 2\^31 elements, got shape \(65536, 32768\)"):
-        get_backend("taichi").empty((1 << 16, 1 << 15), np.float32, "cpu")
-
-
-def test_arrays_cut_out_of_others(spec):
-    """As input and as output: what lies around is neither read nor written."""
+@pytest.fixture
+def here():
+    """The backend, and where it runs in this process: with ``--device vulkan`` there."""
     backend = get_backend("taichi")
-    whole = backend.from_host(np.full((2, 9, 13), np.nan, np.float32), "cpu")
-    image, out = (
-        whole[:, 1:5, 2:8],
-        backend.from_host(np.full((2, 4, 9), np.nan, np.float32), "cpu")[..., 3:6],
-    )
+    return backend, backend.devices()[0]
+
+
+def test_batches_are_shared_between_threads(here):
+    """What ``test_batches.py`` compares bit for bit has then run on several."""
+    backend, device = here
+    backend.synchronize(device)
+    assert runtime.ti.cfg.cpu_max_num_threads >= 2
+
+
+def test_arrays_of_too_many_elements_are_refused(here):
+    backend, device = here
+    with pytest.raises(ValueError, match=r"fewer than 2\^31 elements, got shape \(65536, 32768\)"):
+        backend.empty((1 << 16, 1 << 15), np.float32, device)
+
+
+def test_arrays_cut_out_of_others(here):
+    """As input and as output: what lies around is neither read nor written."""
+    backend, device = here
+    whole = backend.from_host(np.full((2, 9, 13), np.nan, np.float32), device)
+    around = backend.from_host(np.full((2, 4, 9), np.nan, np.float32), device)
+    image = whole[:, 1:5, 2:8]
     values = np.arange(48, dtype=np.float32).reshape(2, 4, 6)
     backend.assign(image, values)
-    rows = backend.empty((2, 4, 6), np.float32, "cpu")
-    backend.reduce_image(image, 2.0, rows, out[:, :2])
-    np.testing.assert_array_equal(out[:, :2], values.reshape(2, 2, 2, 3, 2).sum(axis=(2, 4)))
-    assert np.isnan(out[:, 2:]).all() and np.isnan(out.base[..., :3]).all()
-    assert np.isnan(whole).sum() == whole.size - 48
+    rows = backend.empty((2, 4, 6), np.float32, device)
+    backend.reduce_image(image, 2.0, rows, around[:, :2, 3:6])
+    expected = np.full((2, 4, 9), np.nan, np.float32)
+    expected[:, :2, 3:6] = values.reshape(2, 2, 2, 3, 2).sum(axis=(2, 4))
+    np.testing.assert_array_equal(backend.to_host(around), expected)
+    assert np.isnan(backend.to_host(whole)).sum() == whole.shape[0] * 9 * 13 - 48
 
 
-def test_every_operation_on_vulkan(vulkan):
-    """Against the specification, in its own process; ``--device vulkan`` runs the other tests there."""
-    command = [sys.executable, "-m", "pytest", "-q", "-p", "no:cacheprovider", "--device", "vulkan"]
-    command += ["-k", "taichi-vulkan", str(KERNEL_TESTS / "test_specification.py")]
-    done = subprocess.run(command, capture_output=True, text=True, timeout=280, check=False)
+def test_double_precision_where_there_is_none(here, monkeypatch):
+    """As on Metal and on some of the GPUs with Vulkan: refused by name, before anything is launched."""
+    backend, device = here
+    monkeypatch.setattr(runtime, "has_float64", lambda device: False)
+    one, window_ptr = np.ones(1), np.array([0, 1], np.int32)
+    message = f"taichi refuses bin_events: {device} computes in float32 only, not in float64: "
+    with pytest.raises(NotImplementedError, match=message + "give float32 arrays, or another device"):
+        bin_events(one, one, one, window_ptr, shape=(1, 1), backend="taichi", device=device)
+    assert backend.supports("bin_events", np.float32, device) is None
+
+
+def specified(*options, **environment):
+    """Compare operations with the specification in a process of its own; give whether a test passed."""
+    command = [sys.executable, "-m", "pytest", "-q", "-p", "no:cacheprovider", *options]
+    command.append(str(KERNEL_TESTS / "test_specification.py"))
+    environment = {**os.environ, **environment}
+    done = subprocess.run(command, capture_output=True, text=True, timeout=280, check=False, env=environment)
     assert done.returncode == 0, done.stdout[-4000:] + done.stderr[-2000:]
-    assert " passed" in done.stdout
+    return " passed" in done.stdout
+
+
+def test_every_operation_on_vulkan(vulkan, request):
+    """Against the specification, in its own process; ``--device vulkan`` runs all tests there."""
+    if request.config.getoption("device"):
+        pytest.skip("--device says where the tests run")
+    assert specified("-k", "taichi-vulkan", "--device", "vulkan")
+
+
+def test_every_operation_of_the_fork(request):
+    """Quadrants, where it is installed, against the specification too."""
+    if not importlib.util.find_spec("quadrants"):
+        pytest.skip("quadrants is not installed")
+    if request.config.getoption("device"):
+        pytest.skip("--device says where the tests run")
+    assert specified("-k", "taichi-cpu", EVQR_TAICHI="quadrants")
 
 
 def test_a_recording_is_read_on_vulkan(vulkan):
