@@ -110,7 +110,10 @@ def make_correlate_rows(dtype: type) -> wp.Kernel:
             if value != dtype(0.0):
                 for j in range(wp.max(0, radius - y), wp.min(shifts, height + radius - y)):
                     for i in range(wp.max(0, radius - x), wp.min(shifts, width + radius - x)):
-                        rows_out[b, y, j, i] += value * images[b, 1, y + j - radius, x + i - radius]
+                        before = rows_out[
+                            b, y, j, i
+                        ]  # +=: an atomic, which the owner of a row can do without
+                        rows_out[b, y, j, i] = before + value * images[b, 1, y + j - radius, x + i - radius]
 
     return correlate_rows
 
@@ -194,7 +197,7 @@ def make_surface_peak(dtype: type) -> wp.Kernel:
                 rows_out[b, j, i] = dtype(0.0)
             for k in range(size):
                 for i in range(size):
-                    rows_out[b, j, i] += smoother[j, k] * surface[b, k, i]
+                    rows_out[b, j, i] = rows_out[b, j, i] + smoother[j, k] * surface[b, k, i]
         row = wp.int32(1)
         column = wp.int32(1)
         for j in range(size):
