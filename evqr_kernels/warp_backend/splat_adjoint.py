@@ -77,7 +77,6 @@ def make_splat_events_adjoint(dtype: type, cfg: SplatConfig, parameters: int) ->
     taps = 2 * reach + 1
     vec_taps = vector(taps, dtype)
     vec_parameters = vector(parameters, dtype)
-    order = sorted(range(-reach, reach + 1), key=lambda k: (abs(k), -k))  # of taps: 0, 1, -1, ..
     registers = 80 if parameters == 2 else 96  # fewer would spill
     splat_tap = make_splat_tap(dtype, cfg)
     inverse_variance = wp.constant(dtype(1.0 / cfg.epsilon_px**2))
@@ -140,20 +139,18 @@ def make_splat_events_adjoint(dtype: type, cfg: SplatConfig, parameters: int) ->
                 left = right
                 up = wp.exp(offset * inverse_variance)
                 down = dtype(1.0) / up
-                for n in range(wp.static(taps)):
-                    gauss = right * gauss_at_tap[wp.static(abs(order[n]))]
-                    if wp.static(order[n] < 0):
-                        gauss = left * gauss_at_tap[wp.static(abs(order[n]))]
-                    if wp.static(order[n] <= 0):
-                        right *= up
-                        left *= down
-                    g, s, c = splat_tap(gauss, dtype(wp.static(order[n])) - offset)
-                    values = row_around(
-                        adj_image, adj_rows, window, row + wp.static(order[n]), column - reach
-                    )
-                    by_g += g * values
-                    by_s += s * values
-                    by_c += c * values
+                for k in range(wp.static(reach + 1)):
+                    for side in range(2):
+                        if side == 0 or k > 0:
+                            tap = wp.where(side == 0, k, -k)
+                            gauss = wp.where(side == 0, right, left) * gauss_at_tap[k]
+                            g, s, c = splat_tap(gauss, dtype(tap) - offset)
+                            values = row_around(adj_image, adj_rows, window, row + tap, column - reach)
+                            by_g += g * values
+                            by_s += s * values
+                            by_c += c * values
+                    right *= up
+                    left *= down
                 w = weight[e]
                 lag_px = lag[window, 0]
                 if w < dtype(0.0):
@@ -170,22 +167,22 @@ def make_splat_events_adjoint(dtype: type, cfg: SplatConfig, parameters: int) ->
                 left = right
                 up = wp.exp(offset * inverse_variance)
                 down = dtype(1.0) / up
-                for n in range(wp.static(taps)):
-                    gauss = right * gauss_at_tap[wp.static(abs(order[n]))]
-                    if wp.static(order[n] < 0):
-                        gauss = left * gauss_at_tap[wp.static(abs(order[n]))]
-                    if wp.static(order[n] <= 0):
-                        right *= up
-                        left *= down
-                    g, s, c = splat_tap(gauss, dtype(wp.static(order[n])) - offset)
-                    ahead = g - lag_x * s
-                    turned = s - lag_x * c
-                    adj_w += ahead * by_g[wp.static(reach + order[n])]
-                    adj_w -= lag_y * g * by_s[wp.static(reach + order[n])]
-                    slope_x += turned * by_g[wp.static(reach + order[n])]
-                    slope_x -= lag_y * s * by_s[wp.static(reach + order[n])]
-                    slope_y += ahead * by_s[wp.static(reach + order[n])]
-                    slope_y -= lag_y * g * by_c[wp.static(reach + order[n])]
+                for k in range(wp.static(reach + 1)):
+                    for side in range(2):
+                        if side == 0 or k > 0:
+                            tap = wp.where(side == 0, k, -k)
+                            gauss = wp.where(side == 0, right, left) * gauss_at_tap[k]
+                            g, s, c = splat_tap(gauss, dtype(tap) - offset)
+                            ahead = g - lag_x * s
+                            turned = s - lag_x * c
+                            adj_w += ahead * by_g[reach + tap]
+                            adj_w -= lag_y * g * by_s[reach + tap]
+                            slope_x += turned * by_g[reach + tap]
+                            slope_x -= lag_y * s * by_s[reach + tap]
+                            slope_y += ahead * by_s[reach + tap]
+                            slope_y -= lag_y * g * by_c[reach + tap]
+                    right *= up
+                    left *= down
                 factor = t[e] * inverse_scale * w
                 adj_motion += velocity_adjoint(factor * slope_x, factor * slope_y, dx, dy)
             adj_weight_out[e] = adj_w
