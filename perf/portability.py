@@ -143,8 +143,7 @@ def limits(row: Usage, settings: dict[str, Any]) -> dict[str, int]:
     budget = dict(settings["budgets"][row.dtype])
     if row.kernel in settings["matrices"]["kernels"]:
         budget["registers"] = settings["matrices"][row.dtype]
-    if row.kernel in settings["atomics"]:
-        budget["atomics"] = settings["atomics"][row.kernel]
+    budget["atomics"] = settings["atomics"][row.dtype].get(row.kernel, budget["atomics"])
     exception = settings["exceptions"].get(exception_of(row, settings), {})
     return {**budget, **{name: exception[name] for name in budget if name in exception}}
 

@@ -18,7 +18,7 @@ spec.loader.exec_module(portability)
 
 SETTINGS = {
     "budgets": {"float32": {"registers": 64, "stack": 0, "local": 0, "atomics": 0}},
-    "atomics": {"scatter": 2},
+    "atomics": {"float32": {"scatter": 2}},
     "matrices": {"kernels": ["matrix"], "float32": 96},
     "exceptions": {"file_? wide float32": {"registers": 70, "reason": "it is wide"}},
 }
