@@ -139,10 +139,11 @@ def worst(rows: list[Usage]) -> list[Usage]:
 
 
 def limits(row: Usage, settings: dict[str, Any]) -> dict[str, int]:
-    """Budget of a kernel: that of its precision, wider if it makes a matrix, or its exception."""
+    """Budget of a kernel: of its precision, wider if it makes a matrix or accumulates, or its exception."""
     budget = dict(settings["budgets"][row.dtype])
     if row.kernel in settings["matrices"]["kernels"]:
         budget["registers"] = settings["matrices"][row.dtype]
+    budget["atomics"] = settings["atomics"][row.dtype].get(row.kernel, budget["atomics"])
     exception = settings["exceptions"].get(exception_of(row, settings), {})
     return {**budget, **{name: exception[name] for name in budget if name in exception}}
 

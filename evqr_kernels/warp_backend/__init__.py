@@ -178,7 +178,7 @@ def _modules(kernels: KernelSet, device: str) -> list[wp.Module]:
         peaks.make_local_maxima(f32),
         peaks.make_merge_maxima(f32),
         peaks.make_match_corners(f32),
-        align.make_align_poses(f32, kernels.table_columns),
+        align.make_align_poses(f32, kernels.table_columns, unrolled=device == "cpu"),
         code.make_sample_rows(f32),
         code.make_fold_columns(f32, code.BLOCK),
         *solve.make_kernels(f32, on_cpu=device == "cpu"),

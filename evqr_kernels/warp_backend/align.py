@@ -16,7 +16,13 @@ parameters are the affine ones (u: 1, u, v; v: 1, u, v), two more are perspectiv
 Results: gain, score (the normalised correlation of model and image), noise (the variance of what is left) and
 iterations, all at the pose that is returned.
 
-One thread owns one pose: a step is a few thousand multiply-adds, less than a launch costs on a CPU.
+One thread owns one pose: a step is a few thousand multiply-adds, less than a launch costs on a CPU.  The
+gain is eliminated from its system beforehand.  With D = gram_LL, damped like the rest, that is the same as
+less of the Gram matrix and another gain in the right-hand side:
+
+    gram   <- gram - gram_L D^-1 gram_L^T,        a <- a - D^-1 (moments_L + gram_LL a)
+
+What is left is factorised row by row as L D L^T.
 """
 
 from functools import cache
@@ -26,47 +32,16 @@ import warp as wp
 from evqr_kernels.warp_backend.language import last_axis_as_vector, launch, module_of, neighbours, vector
 from evqr_kernels.warp_backend.pose import make_bilinear, make_project
 
-MOST = 10
-"""Parameters, the two of the gain included."""
+MOST = 8
+"""Parameters of a pose, at most."""
+
+TERMS = 4
+"""Columns of the table that the derivative in one parameter is made of, at most."""
 
 
 @cache
-def make_solve_positive(dtype: type) -> wp.Function:
-    """Build the solution of a small symmetric positive system in place, by elimination without pivots."""
-    matrix = wp.types.matrix(shape=(MOST, MOST), dtype=dtype)
-    vec = vector(MOST, dtype)
-
-    @wp.func
-    def solve_positive(a: matrix, b: vec, n: int) -> vec:
-        for k in range(n):
-            inverse = dtype(1.0) / a[k, k]
-            for i in range(k + 1, n):
-                factor = a[i, k] * inverse
-                for j in range(k + 1, n):
-                    a[i, j] = a[i, j] - factor * a[k, j]
-                b[i] = b[i] - factor * b[k]
-        for r in range(n):
-            k = n - 1 - r
-            total = b[k]
-            for j in range(k + 1, n):
-                total -= a[k, j] * b[j]
-            b[k] = total / a[k, k]
-        return b
-
-    return solve_positive
-
-
-@cache
-def make_align_poses(dtype: type, columns: int) -> wp.Kernel:
-    """Build the kernel for a table of ``columns`` functions; launch: one thread per pose."""
-    vec_columns = vector(columns, dtype)
-    vec_pair = vector(2, dtype)
-    vec_parameters = vector(MOST, dtype)
-    matrix = wp.types.matrix(shape=(MOST, MOST), dtype=dtype)
-    mat33 = wp.types.matrix(shape=(3, 3), dtype=dtype)
-    bilinear = make_bilinear(dtype)
-    project = make_project(dtype)
-    solve_positive = make_solve_positive(dtype)
+def make_gain_factor(dtype: type) -> wp.Function:
+    """Build what a term is multiplied with."""
 
     @wp.func
     def gain_factor(kind: int, gain_u: dtype, gain_v: dtype) -> dtype:
@@ -79,15 +54,200 @@ def make_align_poses(dtype: type, columns: int) -> wp.Kernel:
             factor = dtype(1.0)
         return factor
 
-    @wp.kernel(module=module_of(f"align_{columns}", dtype))
+    return gain_factor
+
+
+@cache
+def make_entry(dtype: type, columns: int, unrolled: bool) -> wp.Function:
+    """Build an entry (p, q) of the normal matrix: of the Gram matrix less ``gram_L projection gram_L^T``.
+
+    Arrays are flat.  ``projection``: the symmetric matrix's entries uu, uv, vv.
+    """
+    vec3 = vector(3, dtype)
+    along_u, along_v = columns - 2, columns - 1
+    gain_factor = make_gain_factor(dtype)
+
+    @wp.func
+    def projected(gram: wp.array(dtype=dtype), projection: vec3, c: int, d: int) -> dtype:
+        c_u = gram[columns * c + along_u]
+        c_v = gram[columns * c + along_v]
+        with_u = projection[0] * c_u + projection[1] * c_v
+        with_v = projection[1] * c_u + projection[2] * c_v
+        return (
+            gram[columns * c + d]
+            - with_u * gram[columns * d + along_u]
+            - with_v * gram[columns * d + along_v]
+        )
+
+    @wp.func
+    def unrolled_entry(
+        gram: wp.array(dtype=dtype),
+        terms: wp.array(dtype=wp.int32),
+        factors: wp.array(dtype=wp.int32),
+        gain_u: dtype,
+        gain_v: dtype,
+        projection: vec3,
+        p: int,
+        q: int,
+    ) -> dtype:
+        total = dtype(0.0)
+        for k in range(TERMS):
+            n = TERMS * p + k
+            if factors[n] != 0:
+                part = dtype(0.0)
+                for j in range(TERMS):
+                    m = TERMS * q + j
+                    if factors[m] != 0:
+                        part += gain_factor(factors[m], gain_u, gain_v) * projected(
+                            gram, projection, terms[n], terms[m]
+                        )
+                total += gain_factor(factors[n], gain_u, gain_v) * part
+        return total
+
+    @wp.func
+    def entry(
+        gram: wp.array(dtype=dtype),
+        terms: wp.array(dtype=wp.int32),
+        factors: wp.array(dtype=wp.int32),
+        gain_u: dtype,
+        gain_v: dtype,
+        projection: vec3,
+        p: int,
+        q: int,
+    ) -> dtype:
+        # one loop, not two, of a shape that a GPU's compiler does not unroll: it would take more registers
+        total = dtype(0.0)
+        n = TERMS * p
+        m = TERMS * q
+        while n < TERMS * (p + 1):
+            if factors[n] != 0 and factors[m] != 0:
+                weight = gain_factor(factors[n], gain_u, gain_v) * gain_factor(factors[m], gain_u, gain_v)
+                total += weight * projected(gram, projection, terms[n], terms[m])
+            m += 1
+            if m == TERMS * (q + 1):
+                m = TERMS * q
+                n += 1
+        return total
+
+    return unrolled_entry if unrolled else entry
+
+
+@cache
+def make_newton_step(dtype: type, columns: int, unrolled: bool) -> wp.Function:
+    """Build the step of the pose from the moments; parameters that it does not have stay.
+
+    What has an index known only at run time cannot stay in a GPU's registers, so loops over vectors and over
+    the triangle are unrolled, and a component is looked up or set by going through all of them.
+    """
+    vec_columns = vector(columns, dtype)
+    vec3 = vector(3, dtype)
+    vec = vector(MOST, dtype)
+    matrix = wp.types.matrix(shape=(MOST, MOST), dtype=dtype)
+    along_u, along_v = columns - 2, columns - 1
+    gain_factor = make_gain_factor(dtype)
+    entry = make_entry(dtype, columns, unrolled)
+
+    @wp.func
+    def pick(values: vec_columns, c: int) -> dtype:
+        value = dtype(0.0)
+        for i in range(wp.static(columns)):
+            value += wp.where(c == wp.static(i), values[i], dtype(0.0))
+        return value
+
+    @wp.func
+    def newton_step(
+        gram: wp.array(dtype=dtype),
+        terms: wp.array(dtype=wp.int32),
+        factors: wp.array(dtype=wp.int32),
+        damping: dtype,
+        gain_u: dtype,
+        gain_v: dtype,
+        moments: vec_columns,
+    ) -> vec:
+        parameters = terms.shape[0] // TERMS - 2
+        lower = matrix()  # L, and D^-1 on its diagonal
+        guu = gram[columns * along_u + along_u]
+        guv = gram[columns * along_u + along_v]
+        gvv = gram[columns * along_v + along_v]
+        trace = guu + gvv
+        for p in range(parameters):
+            diagonal = entry(gram, terms, factors, gain_u, gain_v, vec3(), p, p)
+            trace += diagonal
+            for i in range(MOST):
+                lower[i, i] = wp.where(p == i, diagonal, lower[i, i])
+        ridge = dtype(1.0e-7) * trace + dtype(1.0e-12)
+        for i in range(MOST):
+            lower[i, i] = damping * lower[i, i] + ridge
+
+        right_u = moments[along_u] + guu * gain_u + guv * gain_v
+        right_v = moments[along_v] + guv * gain_u + gvv * gain_v
+        guu += damping * guu + ridge
+        gvv += damping * gvv + ridge
+        projection = vec3(gvv, -guv, guu) / (guu * gvv - guv * guv)
+        rest_u = gain_u - projection[0] * right_u - projection[1] * right_v
+        rest_v = gain_v - projection[1] * right_u - projection[2] * right_v
+        step = vec()
+        for p in range(parameters):
+            right = dtype(0.0)
+            for n in range(TERMS * p, TERMS * (p + 1)):
+                if factors[n] != 0:
+                    c = terms[n]
+                    residual = pick(moments, c)
+                    residual += gram[columns * c + along_u] * rest_u + gram[columns * c + along_v] * rest_v
+                    right -= gain_factor(factors[n], gain_u, gain_v) * residual
+            for i in range(MOST):
+                step[i] = wp.where(p == i, right, step[i])
+
+        for i in range(MOST):
+            if i < parameters:
+                row = vec()
+                for q in range(wp.static(i + 1)):
+                    row[q] = entry(gram, terms, factors, gain_u, gain_v, projection, i, q)
+                lower[i, i] = lower[i, i] + row[i]
+                for j in range(wp.static(i)):
+                    for k in range(wp.static(j)):
+                        row[j] = row[j] - lower[j, k] * row[k]
+                for j in range(wp.static(i)):
+                    lower[i, j] = row[j] * lower[j, j]
+                    lower[i, i] = lower[i, i] - lower[i, j] * row[j]
+                    step[i] = step[i] - lower[i, j] * step[j]
+                lower[i, i] = dtype(1.0) / lower[i, i]
+        for i in range(MOST):
+            step[i] = step[i] * lower[i, i]
+        for j in range(wp.static(MOST - 1)):
+            for i in range(wp.static(MOST - 1 - j)):
+                step[i] = step[i] - lower[wp.static(MOST - 1 - j), i] * step[wp.static(MOST - 1 - j)]
+        return step
+
+    return newton_step
+
+
+@cache
+def make_align_poses(dtype: type, columns: int, unrolled: bool) -> wp.Kernel:
+    """Build the kernel for a table of ``columns`` functions; launch: one thread per pose.
+
+    ``unrolled``: faster on a CPU; on a GPU the registers would not do.
+    """
+    vec_columns = vector(columns, dtype)
+    vec_pair = vector(2, dtype)
+    mat33 = wp.types.matrix(shape=(3, 3), dtype=dtype)
+    bilinear = make_bilinear(dtype)
+    project = make_project(dtype)
+    along_u, along_v = columns - 2, columns - 1
+    newton_step = make_newton_step(dtype, columns, unrolled)
+
+    @wp.kernel(
+        module=module_of(f"align_{columns}{'_unrolled' * unrolled}", dtype),
+        cuda_max_registers=96 if dtype is wp.float32 else 192,
+    )
     def align_poses(
         pairs: wp.array3d(dtype=vec_pair),
         image_idx: wp.array(dtype=wp.int32),
         points: wp.array2d(dtype=dtype),
         table: wp.array(dtype=vec_columns),
-        gram: wp.array2d(dtype=dtype),
-        terms: wp.array2d(dtype=wp.int32),
-        factors: wp.array2d(dtype=wp.int32),
+        gram: wp.array(dtype=dtype),
+        terms: wp.array(dtype=wp.int32),
+        factors: wp.array(dtype=wp.int32),
         settings: wp.array(dtype=dtype),
         max_iterations: int,
         pose_inout: wp.array2d(dtype=dtype),
@@ -95,16 +255,7 @@ def make_align_poses(dtype: type, columns: int) -> wp.Kernel:
     ):
         h = wp.tid()
         b = image_idx[h]
-        centre = settings[0]
-        scale = settings[1]
-        ridge = settings[2]
-        damping = settings[3]
-        tolerance = settings[4]
         count = points.shape[0]
-        n = terms.shape[0]
-        parameters = n - 2
-        first = columns - 2
-        second = columns - 1
         iterations = wp.int32(0)
         moving = wp.int32(1)
         while moving > 0:
@@ -116,15 +267,15 @@ def make_align_poses(dtype: type, columns: int) -> wp.Kernel:
                 if e != dtype(0.0):
                     moments += e * table[s]
                     energy += e * e
-            guu = gram[first, first]
-            guv = gram[first, second]
-            gvv = gram[second, second]
-            extra = ridge * (guu + gvv)
+            guu = gram[columns * along_u + along_u]
+            guv = gram[columns * along_u + along_v]
+            gvv = gram[columns * along_v + along_v]
+            extra = settings[2] * (guu + gvv)
             determinant = (guu + extra) * (gvv + extra) - guv * guv
-            gain_u = -((gvv + extra) * moments[first] - guv * moments[second]) / determinant
-            gain_v = -((guu + extra) * moments[second] - guv * moments[first]) / determinant
+            gain_u = -((gvv + extra) * moments[along_u] - guv * moments[along_v]) / determinant
+            gain_v = -((guu + extra) * moments[along_v] - guv * moments[along_u]) / determinant
             model = gain_u * gain_u * guu + dtype(2.0) * gain_u * gain_v * guv + gain_v * gain_v * gvv
-            cross = -(gain_u * moments[first] + gain_v * moments[second])
+            cross = -(gain_u * moments[along_u] + gain_v * moments[along_v])
             result_out[h, 0] = gain_u
             result_out[h, 1] = gain_v
             result_out[h, 2] = cross / wp.sqrt(wp.max(model * energy, dtype(1.0e-20)))
@@ -133,51 +284,14 @@ def make_align_poses(dtype: type, columns: int) -> wp.Kernel:
             if iterations >= max_iterations or moving == 2:
                 moving = 0
             else:
-                # normal matrix and right-hand side from the Gram matrix and the moments
-                system = matrix()
-                right = vec_parameters()
-                for c in range(columns):
-                    residual = moments[c] + gram[c, first] * gain_u + gram[c, second] * gain_v
-                    for p in range(n):
-                        weight = dtype(0.0)
-                        for k in range(4):
-                            if factors[p, k] != 0 and terms[p, k] == c:
-                                weight += gain_factor(factors[p, k], gain_u, gain_v)
-                        right[p] = right[p] - weight * residual
-                for p in range(n):
-                    for q in range(p + 1):
-                        total = dtype(0.0)
-                        for k in range(4):
-                            if factors[p, k] != 0:
-                                weight = gain_factor(factors[p, k], gain_u, gain_v)
-                                for m in range(4):
-                                    if factors[q, m] != 0:
-                                        total += (
-                                            weight
-                                            * gain_factor(factors[q, m], gain_u, gain_v)
-                                            * gram[terms[p, k], terms[q, m]]
-                                        )
-                        system[p, q] = total
-                        system[q, p] = total
-                trace = dtype(0.0)
-                for p in range(n):
-                    trace += system[p, p]
-                for p in range(n):
-                    system[p, p] = (
-                        system[p, p] * (dtype(1.0) + damping) + dtype(1.0e-7) * trace + dtype(1.0e-12)
-                    )
-                step = solve_positive(system, right, n)
+                # settings are read where they are needed: kept, they would take registers all along
+                step = newton_step(gram, terms, factors, settings[3], gain_u, gain_v, moments)
                 size = dtype(0.0)
-                for p in range(parameters):
+                for p in range(MOST):
                     size += wp.abs(step[p])
-                shorten = dtype(1.0) / wp.max(size, dtype(1.0))
-                for p in range(parameters):
-                    step[p] = step[p] * shorten
-                tilt_u = dtype(0.0)
-                tilt_v = dtype(0.0)
-                if parameters > 6:
-                    tilt_u = step[6]
-                    tilt_v = step[7]
+                step = step / wp.max(size, dtype(1.0))
+                centre = settings[0]
+                scale = settings[1]
                 one = dtype(1.0)
                 zero = dtype(0.0)
                 inverse_sq = one / (scale * scale)
@@ -185,7 +299,7 @@ def make_align_poses(dtype: type, columns: int) -> wp.Kernel:
                     mat33(
                         one + step[1] / scale, step[2] / scale, step[0],
                         step[4] / scale, one + step[5] / scale, step[3],
-                        -tilt_u * inverse_sq, -tilt_v * inverse_sq, one,
+                        -step[6] * inverse_sq, -step[7] * inverse_sq, one,
                     )
                 )  # fmt: skip
                 moved = (
@@ -202,7 +316,7 @@ def make_align_poses(dtype: type, columns: int) -> wp.Kernel:
                     for c in range(3):
                         pose_inout[h, 3 * r + c] = moved[r, c] / moved[2, 2]
                 iterations += 1
-                if size < tolerance:
+                if size < settings[4]:
                     moving = 2
 
     return align_poses
@@ -214,16 +328,16 @@ def align_poses(
     """Launch; overwrites the results."""
     dtype, columns = image.dtype, table.shape[1]
     launch(
-        make_align_poses(dtype, columns),
+        make_align_poses(dtype, columns, unrolled=image.device.is_cpu),
         pose_inout.shape[0],
         inputs=[
             neighbours(image, 2),
             image_idx,
             points,
             last_axis_as_vector(table),
-            gram,
-            terms,
-            factors,
+            gram.flatten(),
+            terms.flatten(),
+            factors.flatten(),
             settings,
             max_iterations,
         ],

@@ -131,8 +131,9 @@ def make_correlate_rows(dtype: type, block: int) -> wp.Kernel:
             if value != dtype(0.0):
                 for j in range(wp.max(0, radius - y), wp.min(shifts, height + radius - y)):
                     for i in range(wp.max(0, radius - x), wp.min(shifts, width + radius - x)):
-                        other = images[b, 1, y + j - radius, x + i - radius]
-                        rows_out[b, y, j, i] = rows_out[b, y, j, i] + value * other
+                        # not +=: that is an atomic, which the owner of a row can do without
+                        product = value * images[b, 1, y + j - radius, x + i - radius]
+                        rows_out[b, y, j, i] = rows_out[b, y, j, i] + product
 
     return correlate_rows
 

@@ -118,7 +118,7 @@ def make_solve_windows(dtype: type) -> wp.Kernel:
             norm = dtype(0.0)
             for i in range(rows):
                 for j in range(columns):
-                    q_inout[b, i, j] += step * direction_out[b, i, j]
+                    q_inout[b, i, j] = q_inout[b, i, j] + step * direction_out[b, i, j]
                     r = residual_out[b, i, j] - step * product_out[b, i, j]
                     residual_out[b, i, j] = r
                     norm += r * r

@@ -7,8 +7,8 @@ derivative,
     g''(r) = gauss(r) / c ((r^2 / eps^2 - 1) q k + 2 (r / R)^2 (2 q / eps^2 + 4 / R^2)),
     q = 1 - (r / R)^2,    k = q / eps^2 + 4 / R^2
 
-The splat is separable: the pixels around an event are summed along columns first, with g, g' and g'' each
-(``rows``), and what is left are products of vectors of one row.
+The splat is separable: the pixels around an event are summed along columns first, with g, g' and g'' each,
+and what is left is one row for each of the three.
 """
 
 from functools import cache
@@ -17,7 +17,6 @@ import warp as wp
 
 from evqr_kernels.config import SplatConfig
 from evqr_kernels.warp_backend.language import launch, module_of, neighbours, vector
-from evqr_kernels.warp_backend.splat import make_splat_taps
 from evqr_kernels.warp_backend.sums import add_partials
 from evqr_kernels.warp_backend.transport import (
     make_middle,
@@ -28,28 +27,22 @@ from evqr_kernels.warp_backend.transport import (
 
 
 @cache
-def make_splat_curvature(dtype: type, cfg: SplatConfig) -> wp.Function:
-    """Build the function that gives g'' at the taps around an event, from the Gaussian there."""
-    reach = cfg.reach
-    vec_taps = vector(2 * reach + 1, dtype)
+def make_splat_tap(dtype: type, cfg: SplatConfig) -> wp.Function:
+    """Build the function that gives g, g' and g'' at a tap that is ``r`` px off, from the Gaussian there."""
     inverse_variance = wp.constant(dtype(1.0 / cfg.epsilon_px**2))
     inverse_radius_sq = wp.constant(dtype(1.0 / cfg.radius_px**2))
 
     @wp.func
-    def splat_curvature(gauss: vec_taps, offset: dtype) -> vec_taps:
-        curvature = vec_taps()
-        for k in range(wp.static(2 * reach + 1)):
-            r = dtype(k - reach) - offset
-            q = dtype(1.0) - r * r * inverse_radius_sq
-            if q > dtype(0.0):
-                rate = q * inverse_variance + dtype(4.0) * inverse_radius_sq
-                bend = dtype(2.0) * q * inverse_variance + dtype(4.0) * inverse_radius_sq
-                second = (r * r * inverse_variance - dtype(1.0)) * q * rate
-                second += dtype(2.0) * r * r * inverse_radius_sq * bend
-                curvature[k] = gauss[k] * second
-        return curvature
+    def splat_tap(gauss: dtype, r: dtype):
+        q = wp.max(dtype(1.0) - r * r * inverse_radius_sq, dtype(0.0))
+        rate = q * inverse_variance + dtype(4.0) * inverse_radius_sq
+        bend = dtype(2.0) * q * inverse_variance + dtype(4.0) * inverse_radius_sq
+        second = (r * r * inverse_variance - dtype(1.0)) * q * rate
+        second += dtype(2.0) * r * r * inverse_radius_sq * bend
+        curvature = wp.where(q > dtype(0.0), gauss * second, dtype(0.0))
+        return gauss * q * q, -r * gauss * q * rate, curvature
 
-    return splat_curvature
+    return splat_tap
 
 
 @cache
@@ -84,8 +77,10 @@ def make_splat_events_adjoint(dtype: type, cfg: SplatConfig, parameters: int) ->
     taps = 2 * reach + 1
     vec_taps = vector(taps, dtype)
     vec_parameters = vector(parameters, dtype)
-    splat_taps = make_splat_taps(dtype, cfg)
-    splat_curvature = make_splat_curvature(dtype, cfg)
+    registers = 80 if parameters == 2 else 96  # fewer would spill
+    splat_tap = make_splat_tap(dtype, cfg)
+    inverse_variance = wp.constant(dtype(1.0 / cfg.epsilon_px**2))
+    gauss_at_tap = wp.constant(vector(reach + 1, dtype)(*(cfg.norm * cfg.gauss(k) for k in range(reach + 1))))
     row_around = make_row_around(dtype, taps)
     transport = make_transport(dtype)
     middle = make_middle(dtype)
@@ -94,6 +89,7 @@ def make_splat_events_adjoint(dtype: type, cfg: SplatConfig, parameters: int) ->
 
     @wp.kernel(
         module=module_of(f"splat_adjoint_{parameters}_{taps}_{cfg.epsilon_px:g}_{cfg.radius_px:g}", dtype),
+        cuda_max_registers=registers if dtype is wp.float32 else registers + 64,
     )
     def splat_events_adjoint(
         x: wp.array(dtype=dtype),
@@ -134,16 +130,27 @@ def make_splat_events_adjoint(dtype: type, cfg: SplatConfig, parameters: int) ->
             ):
                 column = int(wp.floor(cx + dtype(0.5)))
                 row = int(wp.floor(cy + dtype(0.5)))
-                gauss, g, s = splat_taps(cy - dtype(row))
-                c = splat_curvature(gauss, cy - dtype(row))
                 by_g = vec_taps()
                 by_s = vec_taps()
                 by_c = vec_taps()
-                for j in range(wp.static(taps)):
-                    values = row_around(adj_image, adj_rows, window, row + j - reach, column - reach)
-                    by_g += g[j] * values
-                    by_s += s[j] * values
-                    by_c += c[j] * values
+                # Gaussians as in `splat_taps`, one after another: all at once they would take the registers
+                offset = cy - dtype(row)
+                right = wp.exp(dtype(-0.5) * offset * offset * inverse_variance)
+                left = right
+                up = wp.exp(offset * inverse_variance)
+                down = dtype(1.0) / up
+                for k in range(wp.static(reach + 1)):
+                    for side in range(2):
+                        if side == 0 or k > 0:
+                            tap = wp.where(side == 0, k, -k)
+                            gauss = wp.where(side == 0, right, left) * gauss_at_tap[k]
+                            g, s, c = splat_tap(gauss, dtype(tap) - offset)
+                            values = row_around(adj_image, adj_rows, window, row + tap, column - reach)
+                            by_g += g * values
+                            by_s += s * values
+                            by_c += c * values
+                    right *= up
+                    left *= down
                 w = weight[e]
                 lag_px = lag[window, 0]
                 if w < dtype(0.0):
@@ -153,12 +160,29 @@ def make_splat_events_adjoint(dtype: type, cfg: SplatConfig, parameters: int) ->
                     lag_px /= speed
                 lag_x = lag_px * motion_x
                 lag_y = lag_px * motion_y
-                gauss, g, s = splat_taps(cx - dtype(column))
-                ahead = g - lag_x * s
-                adj_w = wp.dot(ahead, by_g) - lag_y * wp.dot(g, by_s)
-                slope_y = wp.dot(ahead, by_s) - lag_y * wp.dot(g, by_c)
-                ahead = s - lag_x * splat_curvature(gauss, cx - dtype(column))
-                slope_x = wp.dot(ahead, by_g) - lag_y * wp.dot(s, by_s)
+                slope_x = dtype(0.0)
+                slope_y = dtype(0.0)
+                offset = cx - dtype(column)
+                right = wp.exp(dtype(-0.5) * offset * offset * inverse_variance)
+                left = right
+                up = wp.exp(offset * inverse_variance)
+                down = dtype(1.0) / up
+                for k in range(wp.static(reach + 1)):
+                    for side in range(2):
+                        if side == 0 or k > 0:
+                            tap = wp.where(side == 0, k, -k)
+                            gauss = wp.where(side == 0, right, left) * gauss_at_tap[k]
+                            g, s, c = splat_tap(gauss, dtype(tap) - offset)
+                            ahead = g - lag_x * s
+                            turned = s - lag_x * c
+                            adj_w += ahead * by_g[reach + tap]
+                            adj_w -= lag_y * g * by_s[reach + tap]
+                            slope_x += turned * by_g[reach + tap]
+                            slope_x -= lag_y * s * by_s[reach + tap]
+                            slope_y += ahead * by_s[reach + tap]
+                            slope_y -= lag_y * g * by_c[reach + tap]
+                    right *= up
+                    left *= down
                 factor = t[e] * inverse_scale * w
                 adj_motion += velocity_adjoint(factor * slope_x, factor * slope_y, dx, dy)
             adj_weight_out[e] = adj_w

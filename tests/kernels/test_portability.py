@@ -17,7 +17,8 @@ portability = importlib.util.module_from_spec(spec)
 spec.loader.exec_module(portability)
 
 SETTINGS = {
-    "budgets": {"float32": {"registers": 64, "stack": 0, "local": 0}},
+    "budgets": {"float32": {"registers": 64, "stack": 0, "local": 0, "atomics": 0}},
+    "atomics": {"float32": {"scatter": 2}},
     "matrices": {"kernels": ["matrix"], "float32": 96},
     "exceptions": {"file_? wide float32": {"registers": 70, "reason": "it is wide"}},
 }
@@ -53,6 +54,8 @@ def test_every_kernel_is_found():
         (replace(PLAIN, registers=65), "file_4 plain float32 sm_90: 65 registers, the budget is 64"),
         (replace(PLAIN, stack=8), "file_4 plain float32 sm_90: 8 stack, the budget is 0"),
         (replace(PLAIN, local=1), "file_4 plain float32 sm_90: 1 local, the budget is 0"),
+        (replace(PLAIN, atomics=1), "file_4 plain float32 sm_90: 1 atomics, the budget is 0"),
+        (replace(PLAIN, kernel="scatter", atomics=2), None),
         (replace(PLAIN, kernel="matrix", registers=96), None),
         (
             replace(PLAIN, kernel="matrix", registers=97),
