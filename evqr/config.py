@@ -147,14 +147,20 @@ class StageTwoConfig:
     Attributes
     ----------
     samples          samples a module
-    damping          relative to the largest diagonal entry of the normal matrix
-    tolerance        of the residual, relative
-    max_iterations   of conjugate gradients
+    damping          pull on a module, in the units of equations that are weighted by one over the noise
+    damping_range    its bounds, relative to the largest diagonal entry of the normal matrix
+    passes           solutions: the first pulls modules to grey, each later one to what the one before says
+    certainty        factor by which a pass goes beyond what the one before said, up to dark or light
+    tolerance        of the residual of a pass, relative
+    max_iterations   of conjugate gradients, a pass
     """
 
     samples: int = 2
-    damping: float = 0.1
-    tolerance: float = 1e-3
+    damping: float = 6.0
+    damping_range: tuple[float, float] = (0.04, 0.5)
+    passes: int = 2
+    certainty: float = 4.0
+    tolerance: float = 0.03
     max_iterations: int = 40
 
 

@@ -96,6 +96,11 @@ class Sighting:
         return size_of(self.version)
 
     @property
+    def weighted(self) -> NormalEquations:
+        """Stage two's equations, weighted by one over the noise."""
+        return self.equations.weighted(self.noise)
+
+    @property
     def centre(self) -> NDArray[np.float64]:
         """Centre of the code [px]."""
         x, y, z = self.pose @ (self.size / 2.0, self.size / 2.0, 1.0)

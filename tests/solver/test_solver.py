@@ -34,7 +34,7 @@ def modules_off(sighting, made, time=None):
 
 
 def text_of(sighting, solver):
-    q = solve_modules(sighting.equations, solver.config.stage_two, workspace=solver.workspace).q
+    q = solve_modules(sighting.weighted, solver.config.stage_two, workspace=solver.workspace).q
     outcome = decode_grid(q)
     return outcome.text if isinstance(outcome, Decoded) else None
 
