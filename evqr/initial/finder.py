@@ -248,7 +248,7 @@ class _Search:
         )
 
     def __call__(
-        self, count: int, velocity: NDArray[np.float64], lag_px: tuple[float, float]
+        self, count: int, velocity: NDArray[np.float64], lag_px: tuple[float, float] | None
     ) -> NDArray[np.float32]:
         """Give the peaks, (N, 5), best first."""
         if self._run is None:
@@ -259,7 +259,7 @@ class _Search:
         self._ptr.write((0, count))
         self._motion.write(velocity)
         self._direction.write(direction)
-        self._lag.write(np.divide(lag_px, self.pyramid[0].cell))
+        self._lag.write(self._cfg.lag_cells if lag_px is None else np.divide(lag_px, self.pyramid[0].cell))
         self._basis.write(basis)
         self._mix.write(mix)
         self._run()
@@ -274,7 +274,7 @@ def find_peaks(
     *,
     workspace: Workspace,
     look: LookConfig | None = None,
-    lag_px: tuple[float, float] = (0.0, 0.0),
+    lag_px: tuple[float, float] | None = None,
 ) -> tuple[Peaks, list[PyramidLevel]]:
     """Find what looks like a finder pattern in a window.
 
@@ -282,7 +282,7 @@ def find_peaks(
     ----------
     velocity : (2,) [px/s]
     look            default the configured last, most thorough
-    lag_px          lag of the pixels for ON and OFF events along the motion [px]
+    lag_px          lag of the pixels for ON and OFF events along the motion [px]; default as configured
 
     Returns
     -------
