@@ -96,7 +96,7 @@ class FinderConfig:
     scale_ratio: float = 1.22
     cells_a_module: float = 1.25
     half: int = 6
-    lag_cells: tuple[float, float] = (0.2, 0.4)
+    lag_cells: tuple[float, float] = (0.25, 0.5)
     min_response: float = 0.28
     first_hypotheses: int = 4
     leg_tolerance: float = 0.2
