@@ -152,8 +152,11 @@ class StageTwoConfig:
     samples          samples a module
     damping          pull on a module, in the units of equations that are weighted by one over the noise
     damping_range    its bounds, relative to the largest diagonal entry of the normal matrix
-    passes           solutions: the first pulls modules to grey, each later one to what the one before says
-    certainty        factor by which a pass goes beyond what the one before said, up to dark or light
+    passes           solutions at most: the first pulls modules to grey, each later one to what the one before
+                     says
+    certainty        factor by which a pass goes beyond what the one before said, up to dark or light: what
+                     does not get there is unclear
+    unclear          share of unclear modules that ends the passes: the decoder corrects more than that
     tolerance        of the residual of a pass, relative
     max_iterations   of conjugate gradients, a pass
     """
@@ -161,9 +164,10 @@ class StageTwoConfig:
     samples: int = 2
     damping: float = 6.0
     damping_range: tuple[float, float] = (0.04, 0.5)
-    passes: int = 2
+    passes: int = 3
     certainty: float = 4.0
-    tolerance: float = 0.03
+    unclear: float = 0.005
+    tolerance: float = 0.05
     max_iterations: int = 40
 
 

@@ -7,7 +7,7 @@ numbers and one right-hand side, both of which add over windows: many windows of
 Damping is what is known of a module before: it is dark or light, so about 1 away from grey, against the noise
 of the events.  A pull to grey alone is a bias, though: where a code moves along its rows only the ends of a
 dark run cause events, and its inside is pulled back half of the way.  So the modules are solved for again,
-each pulled to where the first solution says.
+each pulled to where the solution before says, until nearly all are clear.
 """
 
 from __future__ import annotations
@@ -188,14 +188,17 @@ def solve_modules(equations: NormalEquations, cfg: StageTwoConfig, *, workspace:
     pull = min(max(cfg.damping / peak, least), most)
     stencil.write(equations.stencil / peak)
     damping.write(pull)
-    found, expected, steps = start, np.float32(0.0), 0
+    seen = equations.rhs / peak
+    q.write(start)
+    expected, steps = np.zeros_like(start), 0
+    inner = slice(QUIET_MODULES, -QUIET_MODULES)
     for _ in range(cfg.passes):
         # the pull is of q to what is expected, not of q - 1: that moves the right-hand side
-        rhs.write(equations.rhs / peak + pull * (1.0 - expected))
-        q.write(found)
+        rhs.write(seen + pull * (1.0 - expected))
         run()
-        found = q.read()[0]
-        expected = np.clip(cfg.certainty * (found + 1.0), -1.0, 1.0)
         steps += int(iterations.read()[0])
-    inner = slice(QUIET_MODULES, -QUIET_MODULES)
-    return CodeEstimate(found[inner, inner] + np.float32(1.0), steps)
+        found = q.read()[0] + np.float32(1.0)
+        expected = np.clip(cfg.certainty * found, -1.0, 1.0)
+        if np.mean(np.abs(expected[inner, inner]) < 1.0) <= cfg.unclear:
+            break
+    return CodeEstimate(found[inner, inner], steps)
