@@ -59,16 +59,6 @@ def test_three_finder_patterns_are_among_the_best_peaks(angle, preset, workspace
     assert any(fits(h, made.truth["truth"], pose, 5.0) and not h.inverted for h in hypotheses[:6])
 
 
-@pytest.mark.parametrize("late_us", [0, 160, 320, 480])
-def test_small_modules_are_found_wherever_they_fall_on_the_cells(late_us, workspace):
-    """Modules of 1.25 cells along the motion: each phase blurs other edges together."""
-    made = scene(module_px=3.9, angle=0.0, direction=0.0, travel_px=14.0)
-    truth, middle = made.truth["truth"], middle_us(made) + late_us
-    window = window_of(made, 1.25, middle=middle)
-    peaks, _ = find_peaks(window, at(truth, "velocity", middle), CONFIG, workspace=workspace)
-    assert (peaks.response[of_finders(peaks, at(truth, "H", middle), 25, 3.9)] > 0.3).all()
-
-
 def test_pixels_that_lag_are_seen_through(workspace):
     """A little lag is undone before any is known."""
     made = scene(preset="hard", angle=0.0, direction=0.0, speed_px_ms=10.0, module_px=5.0, travel_px=30.0)
