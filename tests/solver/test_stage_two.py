@@ -193,7 +193,9 @@ def _row_of_runs():
     field = np.zeros((31, 31))
     field[3:28, 3:28] = modules - 1.0
     padded = np.pad(field, 2)
-    product = sum(stencil[k, m] * padded[k : k + 31, m : m + 31] for k in range(5) for m in range(5))
+    product = np.sum(
+        [stencil[k, m] * padded[k : k + 31, m : m + 31] for k in range(5) for m in range(5)], axis=0
+    )
     return NormalEquations(2, stencil, -product), modules
 
 
