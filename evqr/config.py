@@ -83,8 +83,10 @@ class FinderConfig:
     scale_ratio      step from one module size to the next
     cells_a_module   resolution of the search: cells of the reduced image a module
     half             half width of a template [cells]
+    lag_cells        lag that is undone for ON and OFF events while it is not known: little enough to do no
+                     harm where pixels do not lag [cells of a look's finest level]
     min_response     normalised response of a finder pattern that counts, 0 to 1
-    first_hypotheses tried before the others: most often one of them is the code
+    first_hypotheses tried before the others, with all versions of their triples: most often one is the code
     leg_tolerance    |log| of the ratio of the two legs
     scale_tolerance  |log| of leg length over what version and module size ask for
     angle_tolerance  between leg and finder pattern, and from a right angle [rad]
@@ -94,6 +96,7 @@ class FinderConfig:
     scale_ratio: float = 1.22
     cells_a_module: float = 1.25
     half: int = 6
+    lag_cells: tuple[float, float] = (0.25, 0.5)
     min_response: float = 0.28
     first_hypotheses: int = 4
     leg_tolerance: float = 0.2
@@ -147,14 +150,24 @@ class StageTwoConfig:
     Attributes
     ----------
     samples          samples a module
-    damping          relative to the largest diagonal entry of the normal matrix
-    tolerance        of the residual, relative
-    max_iterations   of conjugate gradients
+    damping          pull on a module, in the units of equations that are weighted by one over the noise
+    damping_range    its bounds, relative to the largest diagonal entry of the normal matrix
+    passes           solutions at most: the first pulls modules to grey, each later one to what the one before
+                     says
+    certainty        factor by which a pass goes beyond what the one before said, up to dark or light: what
+                     does not get there is unclear
+    unclear          share of unclear modules that ends the passes: the decoder corrects more than that
+    tolerance        of the residual of a pass, relative
+    max_iterations   of conjugate gradients, a pass
     """
 
     samples: int = 2
-    damping: float = 0.1
-    tolerance: float = 1e-3
+    damping: float = 6.0
+    damping_range: tuple[float, float] = (0.04, 0.5)
+    passes: int = 3
+    certainty: float = 4.0
+    unclear: float = 0.005
+    tolerance: float = 0.05
     max_iterations: int = 40
 
 

@@ -212,7 +212,7 @@ def _read_alone(start: _Start, events: EventBuffer, solver: Solver) -> WindowRea
         reason = sighting.reason
     else:
         with solver.clock("stage_two"):
-            estimate = solve_modules(sighting.equations, solver.config.stage_two, workspace=solver.workspace)
+            estimate = solve_modules(sighting.weighted, solver.config.stage_two, workspace=solver.workspace)
             q, solved = estimate.q, estimate.iterations
         with solver.clock("decode"):
             outcome = decode_grid(q, effort="full")

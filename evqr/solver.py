@@ -20,7 +20,7 @@ from evqr.codespace import size_of
 from evqr.config import LookConfig, ReadConfig
 from evqr.initial.finder import find_hypotheses, find_peaks
 from evqr.initial.motion import Motion, estimate_motion, find_motion, window_length_us
-from evqr.initial.pose import Candidate, screen
+from evqr.initial.pose import Candidate, batches, screen
 from evqr.lag import estimate_lag
 from evqr.measure import measure
 from evqr.region import Region, depositing, region_around
@@ -94,6 +94,11 @@ class Sighting:
     def size(self) -> int:
         """Modules a side."""
         return size_of(self.version)
+
+    @property
+    def weighted(self) -> NormalEquations:
+        """Stage two's equations, weighted by one over the noise."""
+        return self.equations.weighted(self.noise)
 
     @property
     def centre(self) -> NDArray[np.float64]:
@@ -236,7 +241,10 @@ class Solver:
         """Find a code that moves with a velocity."""
         cfg, clock, workspace = self.config, self.clock, self.workspace
         with clock("finder"):
-            peaks, pyramid = find_peaks(window, velocity, cfg.finder, workspace=workspace, look=look)
+            lag_px = (0.0, 0.0) if lag_us == (0.0, 0.0) else None
+            peaks, pyramid = find_peaks(
+                window, velocity, cfg.finder, workspace=workspace, look=look, lag_px=lag_px
+            )
             hypotheses = find_hypotheses(peaks, cfg.finder, workspace=workspace, most=look.hypotheses)
         if not hypotheses:
             return Unseen(
@@ -245,8 +253,7 @@ class Solver:
         best: Sighting | None = None
         closest = 0.0
         iterations = 0
-        first = cfg.finder.first_hypotheses
-        for batch in filter(None, (hypotheses[:first], hypotheses[first : look.hypotheses])):
+        for batch in batches(hypotheses, cfg.finder.first_hypotheses):
             with clock("pose"):
                 candidates, steps = screen(batch, pyramid, cfg.stage_one, workspace=workspace)
             candidates = [c for c in candidates if c.score >= look.min_score]

@@ -3,6 +3,11 @@
 For a fixed pose and gain the paper's cost is quadratic in q: ``|e + A q|^2``.  Its normal matrix is a
 stencil (a module meets only its neighbours, and all alike), so a window is summed up by (2 REACH + 1)^2
 numbers and one right-hand side, both of which add over windows: many windows of one code cost one solve.
+
+Damping is what is known of a module before: it is dark or light, so about 1 away from grey, against the noise
+of the events.  A pull to grey alone is a bias, though: where a code moves along its rows only the ends of a
+dark run cause events, and its inside is pulled back half of the way.  So the modules are solved for again,
+each pulled to where the solution before says, until nearly all are clear.
 """
 
 from __future__ import annotations
@@ -30,6 +35,8 @@ SUPPORT = 5
 class NormalEquations:
     """What a window, or a sum of windows, knows of q - 1, the modules' distance from light.
 
+    In units of one window's events, or of their noise once they are `weighted`.
+
     Attributes
     ----------
     version
@@ -44,8 +51,12 @@ class NormalEquations:
     def __add__(self, other: NormalEquations) -> NormalEquations:
         return NormalEquations(self.version, self.stencil + other.stencil, self.rhs + other.rhs)
 
+    def weighted(self, noise: float) -> NormalEquations:
+        """Give the same equations with the weight that they deserve, one over the variance of the noise."""
+        return self.scaled(1.0 / max(noise, 1e-12))
+
     def scaled(self, weight: float) -> NormalEquations:
-        """Give the same equations with a weight, one over the noise variance."""
+        """Give the same equations with a weight."""
         return NormalEquations(self.version, weight * self.stencil, weight * self.rhs)
 
 
@@ -56,7 +67,7 @@ class CodeEstimate:
     Attributes
     ----------
     q : (r, r) float32    < 0 dark, > 0 light; the known modules have their known value
-    iterations            of conjugate gradients
+    iterations            of conjugate gradients, of all passes
     """
 
     q: NDArray[np.float32]
@@ -158,7 +169,12 @@ def _fixed(version: int) -> tuple[NDArray[np.int32], NDArray[np.float32]]:
 
 
 def solve_modules(equations: NormalEquations, cfg: StageTwoConfig, *, workspace: Workspace) -> CodeEstimate:
-    """Solve for the unknown modules, with function patterns and quiet zone fixed."""
+    """Solve for the unknown modules, with function patterns and quiet zone fixed.
+
+    Parameters
+    ----------
+    equations   weighted by one over the variance of the noise
+    """
     version = equations.version
 
     def make() -> tuple[Any, ...]:
@@ -166,7 +182,6 @@ def solve_modules(equations: NormalEquations, cfg: StageTwoConfig, *, workspace:
         modules = len(free)
         rhs, q = (workspace.mirror((1, modules, modules)) for _ in range(2))
         stencil, damping = workspace.mirror((1, *equations.stencil.shape)), workspace.mirror((1,))
-        damping.write(cfg.damping)
         fixed = workspace.put(free)
         field = [workspace.empty(1, modules, modules) for _ in range(4)]
         rows = [workspace.empty(1, 4, modules) for _ in range(2)]
@@ -177,15 +192,26 @@ def solve_modules(equations: NormalEquations, cfg: StageTwoConfig, *, workspace:
                 iterations.device, max_iterations=cfg.max_iterations, tolerance=cfg.tolerance,
             )
         )  # fmt: skip
-        return start, rhs, stencil, q, iterations, run
+        return start, rhs, stencil, damping, q, iterations, run
 
-    start, rhs, stencil, q, iterations, run = workspace.once(("code", version, cfg), make)
+    start, rhs, stencil, damping, q, iterations, run = workspace.once(("code", version, cfg), make)
     # one overall scale: float32 on the device, and many windows add up
     peak = float(equations.stencil[REACH, REACH]) or 1.0
-    q.write(start)
-    # the damping pulls q to 0, not q - 1: that moves the right-hand side
-    rhs.write(equations.rhs / peak + cfg.damping)
+    least, most = cfg.damping_range
+    pull = min(max(cfg.damping / peak, least), most)
     stencil.write(equations.stencil / peak)
-    run()
+    damping.write(pull)
+    seen = equations.rhs / peak
+    q.write(start)
+    expected, steps = np.zeros_like(start), 0
     inner = slice(QUIET_MODULES, -QUIET_MODULES)
-    return CodeEstimate(q.read()[0, inner, inner] + np.float32(1.0), int(iterations.read()[0]))
+    for _ in range(cfg.passes):
+        # the pull is of q to what is expected, not of q - 1: that moves the right-hand side
+        rhs.write(seen + pull * (1.0 - expected))
+        run()
+        steps += int(iterations.read()[0])
+        found = q.read()[0] + np.float32(1.0)
+        expected = np.clip(cfg.certainty * found, -1.0, 1.0)
+        if np.mean(np.abs(expected[inner, inner]) < 1.0) <= cfg.unclear:
+            break
+    return CodeEstimate(found[inner, inner], steps)

@@ -29,7 +29,7 @@ class Tally:
         noise   variance of a sample: a window counts by one over it
         """
         self.windows += 1
-        weighted = equations.scaled(1.0 / max(noise, 1e-12))
+        weighted = equations.weighted(noise)
         if self._vote is Vote.INFORMATION:
             self._sum = weighted if self._sum is None else self._sum + weighted
             return solve_modules(self._sum, self._cfg, workspace=self._workspace)

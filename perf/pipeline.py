@@ -123,7 +123,7 @@ def _finish(seen: Sighting | Unseen | None, solver: Solver) -> str | None:
     if not isinstance(seen, Sighting):
         return None
     with solver.clock("stage_two"):
-        estimate = solve_modules(seen.equations, solver.config.stage_two, workspace=solver.workspace)
+        estimate = solve_modules(seen.weighted, solver.config.stage_two, workspace=solver.workspace)
     with solver.clock("decode"):
         outcome = decode_grid(estimate.q)
     return outcome.text if isinstance(outcome, Decoded) else None

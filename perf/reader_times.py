@@ -44,7 +44,7 @@ def check(device: str) -> float:
         first_ms = 1e3 * (time.perf_counter() - begin)
         if not isinstance(seen, Sighting):
             sys.exit(f"gate: backend {backend} finds no code in the known scene: {seen}")
-        q = solve_modules(seen.equations, solver.config.stage_two, workspace=solver.workspace).q
+        q = solve_modules(seen.weighted, solver.config.stage_two, workspace=solver.workspace).q
         found[backend] = (outline(seen.pose, seen.size), q, first_ms)
     (corners, q, first_ms), (true_corners, true_q, _) = found["auto"], found["numpy"]
     apart = float(np.abs(corners - true_corners).max())

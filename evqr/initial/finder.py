@@ -240,13 +240,16 @@ class _Search:
         self._run = backend.record(launch)
 
     def __call__(
-        self, window: Window, velocity: NDArray[np.float64], lag_px: tuple[float, float]
+        self, window: Window, velocity: NDArray[np.float64], lag_px: tuple[float, float] | None
     ) -> NDArray[np.float32]:
         """Give the peaks, (N, 5), best first."""
         if self._run is None:
             return np.empty((0, 5), np.float32)
         degrees = round(math.degrees(math.atan2(velocity[1], velocity[0])))  # as good as it is known
         basis, mix = _bank(degrees, self._cfg)
+        if lag_px is None:
+            on, off = self._cfg.lag_cells
+            lag_px = on * self._region.cell, off * self._region.cell
         self._deposit.write(window, velocity, self._region)
         self._sharpen.write(velocity, self._region, [lag_px])
         self._basis.write(basis)
@@ -263,7 +266,7 @@ def find_peaks(
     *,
     workspace: Workspace,
     look: LookConfig | None = None,
-    lag_px: tuple[float, float] = (0.0, 0.0),
+    lag_px: tuple[float, float] | None = None,
 ) -> tuple[Peaks, list[PyramidLevel]]:
     """Find what looks like a finder pattern in a window.
 
@@ -271,7 +274,7 @@ def find_peaks(
     ----------
     velocity : (2,) [px/s]
     look            default the configured last, most thorough
-    lag_px          lag of the pixels for ON and OFF events along the motion [px]
+    lag_px          lag of the pixels for ON and OFF events along the motion [px]; default as configured
 
     Returns
     -------

@@ -33,6 +33,17 @@ class Candidate:
     score: float
 
 
+def batches(hypotheses: list[Hypothesis], first: int) -> list[list[Hypothesis]]:
+    """Split hypotheses into those tried before the others, ``first`` or a few more, and the others.
+
+    No triple is split: another version of it may agree with a large code well enough to end the search.
+    """
+    end = first
+    while 0 < end < len(hypotheses) and hypotheses[end].triple == hypotheses[end - 1].triple:
+        end += 1
+    return [batch for batch in (hypotheses[:end], hypotheses[end:]) if batch]
+
+
 def screen(
     hypotheses: list[Hypothesis], pyramid: list[PyramidLevel], cfg: StageOneConfig, *, workspace: Workspace
 ) -> tuple[list[Candidate], int]:

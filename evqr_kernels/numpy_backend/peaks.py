@@ -12,16 +12,18 @@ def local_maxima(response, angle, least, cell, size, turn, maxima_out) -> None:
     """Find the local maxima of a level, the strongest of each row; overwrites."""
     maxima_out[:] = 0
     strength = np.abs(response)
-    around = sliding_window_view(strength, (3, 3), axis=(1, 2)).max(axis=(3, 4))
-    inner = strength[:, 1:-1, 1:-1]
-    top = (inner > least) & (inner >= around)
+    around = sliding_window_view(response, (3, 3), axis=(1, 2))
+    inner = response[:, 1:-1, 1:-1]
+    extreme = np.where(inner > 0.0, inner >= around.max(axis=(3, 4)), inner <= around.min(axis=(3, 4)))
+    top = extreme & (strength[:, 1:-1, 1:-1] > least)
     for b, y in np.argwhere(top.any(axis=2)):
         x = np.flatnonzero(top[b, y]) + 1
         y = y + 1
         best = np.sort(np.argsort(-strength[b, y, x], kind="stable")[: maxima_out.shape[2]])
         for k, column in enumerate(x[best]):
-            across = _vertex(*strength[b, y, column - 1 : column + 2])
-            down = _vertex(*strength[b, y - 1 : y + 2, column])
+            sign = np.sign(response[b, y, column])
+            across = _vertex(*(sign * response[b, y, column - 1 : column + 2]))
+            down = _vertex(*(sign * response[b, y - 1 : y + 2, column]))
             maxima_out[b, y, k] = (
                 response[b, y, column],
                 (column + across + 0.5) * cell - 0.5,

@@ -221,7 +221,7 @@ def local_maxima(
     backend: str = "auto",
     device: str | None = None,
 ) -> Floats:
-    """Find the local maxima of |response| in the interior of a level.
+    """Find the local maxima and minima of a response in the interior of a level.
 
     Parameters
     ----------

@@ -46,10 +46,11 @@ def make_local_maxima(dtype):
             for x in range(1, ti.select(inner, response.shape[2] - 1, 1)):
                 here = ti.abs(response[b, y, x])
                 if here > least:
+                    sign = ti.select(response[b, y, x] > dtype(0.0), dtype(1.0), dtype(-1.0))
                     top = 1
                     for j in range(3):
                         for i in range(3):
-                            if ti.abs(response[b, y + j - 1, x + i - 1]) > here:
+                            if sign * response[b, y + j - 1, x + i - 1] > here:
                                 top = 0
                     if top == 1:
                         if count == most:  # the weakest makes room, if it is weaker
@@ -63,10 +64,10 @@ def make_local_maxima(dtype):
                                         maxima_out[b, y, k, c] = maxima_out[b, y, k + 1, c]
                                 count -= 1
                         if count < most:
-                            left = ti.abs(response[b, y, x - 1])
-                            right = ti.abs(response[b, y, x + 1])
-                            above = ti.abs(response[b, y - 1, x])
-                            below = ti.abs(response[b, y + 1, x])
+                            left = sign * response[b, y, x - 1]
+                            right = sign * response[b, y, x + 1]
+                            above = sign * response[b, y - 1, x]
+                            below = sign * response[b, y + 1, x]
                             maxima_out[b, y, count, 0] = response[b, y, x]
                             maxima_out[b, y, count, 1] = place(dtype(x) + vertex(left, here, right), cell)
                             maxima_out[b, y, count, 2] = place(dtype(y) + vertex(above, here, below), cell)

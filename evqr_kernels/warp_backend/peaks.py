@@ -4,7 +4,8 @@ A peak is a row (response, x, y, size, angle): response with its sign, 0 in rows
 px; the size that its level stands for; and the angle of the template [rad].
 
 ``local_maxima`` of one level: interior entries of magnitude above ``least`` that none of their eight
-neighbours exceeds; position and peak by the parabolas through the neighbours, of each row the strongest.
+neighbours exceeds in the direction of its own sign, so that a strong trough hides no peak beside it; position
+by the parabolas through the neighbours, of each row the strongest.
 
 ``merge_maxima``: the strongest over all levels, best first; a peak is left out that a stronger one of the
 same sign has within ``apart`` times its size, and within ``|log|`` of the ratio of their sizes.
@@ -67,10 +68,11 @@ def make_local_maxima(dtype: type) -> wp.Kernel:
                     x += BLOCK
                     continue
             if here > least:
+                sign = wp.sign(response[b, y, x])
                 top = wp.int32(1)
                 for j in range(3):
                     for i in range(3):
-                        if wp.abs(response[b, y + j - 1, x + i - 1]) > here:
+                        if sign * response[b, y + j - 1, x + i - 1] > here:
                             top = 0
                 if top == 1:
                     if count == most:  # the weakest makes room, if it is weaker
@@ -84,10 +86,10 @@ def make_local_maxima(dtype: type) -> wp.Kernel:
                                     maxima_out[b, y, k, c] = maxima_out[b, y, k + 1, c]
                             count -= 1
                     if count < most:
-                        left = wp.abs(response[b, y, x - 1])
-                        right = wp.abs(response[b, y, x + 1])
-                        above = wp.abs(response[b, y - 1, x])
-                        below = wp.abs(response[b, y + 1, x])
+                        left = sign * response[b, y, x - 1]
+                        right = sign * response[b, y, x + 1]
+                        above = sign * response[b, y - 1, x]
+                        below = sign * response[b, y + 1, x]
                         half = dtype(0.5)
                         maxima_out[b, y, count, 0] = response[b, y, x]
                         maxima_out[b, y, count, 1] = (

@@ -93,6 +93,20 @@ def test_quiet_places_do_not_answer(placed, dtype, rng):
     np.testing.assert_array_equal(angle, 0)
 
 
+def test_a_trough_hides_no_peak_beside_it():
+    """A filter that alternates from cell to cell answers with both signs, one beside the other."""
+    response = np.zeros((1, 5, 9))
+    response[0, 2, 3:6] = -0.6, 0.5, 0.45
+    maxima = evqr_kernels.local_maxima(
+        response, np.zeros((1, 5, 9), np.int32), least=0.3, cell=1.0, size=1.0, turn=0.0
+    )
+    trough, peak = maxima[0, 2, :2]
+    assert trough[0] == -0.6
+    assert peak[0] == 0.5
+    # between the two cells that nearly agree, not pushed back by the trough's magnitude
+    assert 4.3 < peak[1] < 4.5
+
+
 def test_weak_responses_are_left_out(placed, dtype, rng):
     call = cases.correlate_templates(rng, dtype)
     call.inputs[5:] = [0.3, 0.0]

@@ -59,6 +59,22 @@ def test_three_finder_patterns_are_among_the_best_peaks(angle, preset, workspace
     assert any(fits(h, made.truth["truth"], pose, 5.0) and not h.inverted for h in hypotheses[:6])
 
 
+def test_pixels_that_lag_are_seen_through(workspace):
+    """A little lag is undone before any is known."""
+    made = scene(preset="hard", angle=0.0, direction=0.0, speed_px_ms=10.0, module_px=5.0, travel_px=30.0)
+    truth, window = made.truth["truth"], window_of(made, 2.5)
+    velocity, pose = at(truth, "velocity", middle_us(made)), at(truth, "H", middle_us(made))
+    centres = transform(pose, np.array([[3.5, 3.5], [21.5, 3.5], [3.5, 21.5]]))
+
+    def strength(lag_px):
+        peaks, _ = find_peaks(window, velocity, CONFIG, workspace=workspace, lag_px=lag_px)
+        near = np.hypot(*(peaks.position[:, None] - centres).transpose(2, 0, 1)) < 5.0
+        return np.where(near, peaks.response[:, None], 0.0).max(axis=0)
+
+    assert strength(None).mean() > strength((0.0, 0.0)).mean() + 0.03
+    assert (strength(None) > CONFIG.min_response).all()
+
+
 def test_an_inverted_code_answers_with_the_other_sign(workspace):
     made = scene(invert=True)
     peaks, hypotheses, pose, _ = look(made, workspace)

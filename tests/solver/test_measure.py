@@ -15,6 +15,7 @@ from evqr.stage_two import REACH, SUPPORT, normal_equations
 
 CONFIG = ReadConfig()
 LAG_PX = (0.4, 0.7)
+DAMPING = 0.1
 
 
 def known(made, time):
@@ -50,13 +51,13 @@ def solving(step, peak, workspace):
     )
     axis = lattice(25, samples)
     axis, profile, slope, damping = (
-        workspace.put(np.asarray(f, np.float32)) for f in (axis, profile, slope, [cfg.damping * peak])
+        workspace.put(np.asarray(f, np.float32)) for f in (axis, profile, slope, [DAMPING * peak])
     )
     free, q = workspace.put(free), workspace.put(start)
     stencil = workspace.empty(1, k, k)
     # the damping pulls q to 0, not q - 1: that moves the right-hand side
     terms, rhs = workspace.put(np.ones((2, n, n), np.float32)), workspace.empty(1, n, n)
-    weight = workspace.put(np.array([[1.0, cfg.damping * peak]], np.float32))
+    weight = workspace.put(np.array([[1.0, DAMPING * peak]], np.float32))
     sampled, rows = workspace.empty(1, n * samples, n * samples), workspace.empty(1, 2, n * samples, n)
     scratch = [workspace.empty(1, n, n) for _ in range(4)] + [workspace.empty(1, 4, n) for _ in range(2)]
     iterations = workspace.empty(1, dtype=np.int32)

@@ -8,7 +8,7 @@ from scenes import at, corners, middle_us, moved, scene, window_of
 
 from evqr.config import FinderConfig, StageOneConfig
 from evqr.initial.finder import Hypothesis, find_hypotheses, find_peaks
-from evqr.initial.pose import screen
+from evqr.initial.pose import batches, screen
 
 CONFIG = StageOneConfig()
 
@@ -71,6 +71,24 @@ def test_a_clear_triple_ends_the_screening_with_all_its_versions(workspace):
     every, _ = screen([wrong, right, neighbour], pyramid, CONFIG, workspace=workspace)
     assert [c.version for c in every if c.score >= CONFIG.clear_score] == [2]
     assert len(every) == 3
+
+
+@pytest.mark.parametrize(
+    ("triples", "lengths"),
+    [
+        ("", []),
+        ("00", [2]),
+        ("00112", [4, 1]),
+        ("000000122", [6, 3]),
+        ("01222223", [7, 1]),
+        ("012345", [4, 2]),
+    ],
+)
+def test_hypotheses_are_split_between_triples_only(triples, lengths):
+    hypotheses = [Hypothesis(2, np.eye(3), 1.0, False, int(triple)) for triple in triples]
+    found = batches(hypotheses, 4)
+    assert [len(batch) for batch in found] == lengths
+    assert [guess for batch in found for guess in batch] == hypotheses
 
 
 def test_a_rough_pose_among_wrong_ones_is_refined_and_wins(workspace):

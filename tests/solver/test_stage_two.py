@@ -1,5 +1,7 @@
 """Stage two: the same modules as a dense least-squares solution, and the true ones."""
 
+from dataclasses import replace
+
 import dense
 import numpy as np
 import pytest
@@ -12,7 +14,7 @@ from evqr.stage_two import NormalEquations, normal_equations, solve_modules
 
 ONE = StageOneConfig()
 CONFIG = StageTwoConfig()
-EXACT = StageTwoConfig(tolerance=1e-6, max_iterations=500)
+EXACT = StageTwoConfig(passes=1, damping_range=(0.1, 0.1), tolerance=1e-6, max_iterations=500)
 
 TOLERANCE = 0.01
 """Relative to the strongest module.  The stencil ends two modules away; the entries left out are 1e-4."""
@@ -61,14 +63,14 @@ def random_window(version, seed, workspace):
 @pytest.mark.parametrize("version", [1, 2])
 @pytest.mark.parametrize("samples", [2, 3])
 def test_equals_the_dense_solution_for_any_image_pose_and_gain(version, samples, workspace):
-    cfg = StageTwoConfig(samples=samples, tolerance=1e-6, max_iterations=500)
+    cfg = replace(EXACT, samples=samples)
     space = code_space(version)
     for seed in range(3):
         on_device, image, pose, gain = random_window(version, seed, workspace)
         equations = normal_equations(on_device, pose, gain, version, ONE.sigma, cfg, workspace=workspace)
         found = solve_modules(equations, cfg, workspace=workspace).q
         matrix, vector = dense.system(image, pose, gain, space.size, ONE.sigma, samples)
-        exact = dense.solve([(matrix, vector, 1.0)], space.known, space.values, cfg.damping)
+        exact = dense.solve([(matrix, vector, 1.0)], space.known, space.values, cfg.damping_range[0])
         np.testing.assert_allclose(found, exact, atol=TOLERANCE * max(1.0, np.abs(exact).max()))
 
 
@@ -93,11 +95,13 @@ def test_the_stencil_is_a_row_of_the_dense_matrix(workspace):
 
 
 def test_the_usual_accuracy_is_enough(workspace, see):
-    """Conjugate gradients stop early; what they leave is small against the modules."""
+    """Conjugate gradients stop early; what they leave is small against the modules, and turns none over."""
     equations = equations_of(see(scene()), workspace)
-    usual, exact = (solve_modules(equations, cfg, workspace=workspace) for cfg in (CONFIG, EXACT))
-    np.testing.assert_allclose(usual.q, exact.q, atol=0.02)
-    assert 0 < usual.iterations < exact.iterations <= 200
+    usual = replace(EXACT, tolerance=CONFIG.tolerance)
+    early, exact = (solve_modules(equations, cfg, workspace=workspace) for cfg in (usual, EXACT))
+    np.testing.assert_array_equal(np.sign(early.q), np.sign(exact.q))
+    assert np.abs(early.q - exact.q).mean() < 0.05
+    assert 0 < early.iterations < exact.iterations <= 200
 
 
 # ---- modules of a real window
@@ -150,22 +154,72 @@ def test_without_events_the_unknown_modules_are_grey(workspace, see):
 
 
 def test_contrast_does_not_matter(workspace, see):
-    """Twice the events with twice the gain are the same print."""
+    """Twice the events with twice the gain, and twice the noise, are the same print."""
     seen = see(scene())
     gain = gain_of(seen, workspace)
     plain = solve_modules(equations_of(seen, workspace, gain=gain), CONFIG, workspace=workspace).q
     for factor in (1e-3, 0.3, 40.0):
         image = workspace.put(np.float32(factor) * workspace.get(seen.image))
-        other = equations_of(seen, workspace, image=image, gain=factor * gain)
+        other = equations_of(seen, workspace, image=image, gain=factor * gain).weighted(factor**2)
         np.testing.assert_allclose(solve_modules(other, CONFIG, workspace=workspace).q, plain, atol=1e-3)
 
 
-def test_weights_do_not_matter_to_one_window(workspace, see):
+def test_less_noise_means_less_damping_within_bounds(workspace, see):
+    """Weights say how far events are trusted against what is known before; at the ends they do not matter."""
     equations = equations_of(see(scene()), workspace)
-    plain = solve_modules(equations, CONFIG, workspace=workspace).q
-    for weight in (1e-9, 1.0, 1e9):
-        scaled = solve_modules(equations.scaled(weight), CONFIG, workspace=workspace).q
-        np.testing.assert_allclose(scaled, plain, atol=1e-3)
+    one_pass = replace(CONFIG, passes=1)
+    solved = [
+        solve_modules(equations.weighted(noise), one_pass, workspace=workspace).q
+        for noise in (1e-12, 1e-9, 1e9, 1e12)
+    ]
+    np.testing.assert_allclose(solved[1], solved[0], atol=1e-3)
+    np.testing.assert_allclose(solved[3], solved[2], atol=1e-3)
+    unknown = ~code_space(2).known
+    assert np.abs(solved[0][unknown]).mean() > 1.2 * np.abs(solved[3][unknown]).mean()
+
+
+# ---- passes
+
+
+def _row_of_runs():
+    """Equations of a code that moves along its rows, without noise: long dark runs between light modules."""
+    space = code_space(2)
+    rng = np.random.default_rng(5)
+    modules = np.where(rng.random((25, 25)) < 0.5, -1, 1)
+    modules[10] = [-1 if c == "#" else 1 for c in "#.#.#######.#######.####."]
+    modules = np.where(space.known, space.values, modules)
+    stencil = np.zeros((5, 5))
+    stencil[1:4, 1:4] = np.outer((0.25, 1.0, 0.25), (-0.5, 1.0, -0.5))
+    field = np.zeros((31, 31))
+    field[3:28, 3:28] = modules - 1.0
+    padded = np.pad(field, 2)
+    product = np.sum(
+        [stencil[k, m] * padded[k : k + 31, m : m + 31] for k in range(5) for m in range(5)], axis=0
+    )
+    return NormalEquations(2, stencil, -product), modules
+
+
+def test_a_later_pass_finds_the_inside_of_a_long_dark_run(workspace):
+    """Only the ends of a run cause events where a code moves along its rows: the pull to grey wins inside."""
+    equations, modules = _row_of_runs()
+    strong = replace(CONFIG, damping_range=(0.1, 0.1))
+    one, all_passes = (
+        solve_modules(equations, cfg, workspace=workspace)
+        for cfg in (replace(strong, passes=1), replace(strong, passes=6, unclear=0.0))
+    )
+    assert (one.q[10] * modules[10] < 0.3).any()
+    assert (all_passes.q * modules > 0.3).all()
+    assert all_passes.iterations > one.iterations
+
+
+def test_one_pass_is_enough_where_all_modules_are_clear(workspace, see):
+    seen = see(scene(angle=45.0, direction=0.0))
+    equations = equations_of(seen, workspace).weighted(1e-9)
+    several, one = (
+        solve_modules(equations, cfg, workspace=workspace) for cfg in (CONFIG, replace(CONFIG, passes=1))
+    )
+    assert several.iterations == one.iterations
+    np.testing.assert_array_equal(several.q, one.q)
 
 
 def test_polarity_and_gain_of_the_other_sign_are_the_same_print(workspace, see):
