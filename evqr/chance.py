@@ -71,8 +71,9 @@ def log_tail(agreement: NDArray[np.floating]) -> float:
 
 def count_pads(data: NDArray[np.uint8]) -> int:
     """Return how many codewords at the end of a block's data are pads, 0xEC and 0x11 in turn."""
-    first, second = PAD_CODEWORDS
-    is_pad = (data == first) | (data == second)
-    is_pad[:-1] &= data[:-1] != data[1:]
-    others = np.flatnonzero(~is_pad)
-    return len(data) - 1 - int(others[-1]) if len(others) else len(data)
+    count, behind = 0, None
+    for codeword in reversed(data.tolist()):
+        if codeword not in PAD_CODEWORDS or codeword == behind:
+            break
+        count, behind = count + 1, codeword
+    return count

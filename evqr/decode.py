@@ -196,9 +196,10 @@ def _decode_oriented(
         reason = f"format information unreadable: its modules correlate {best:.2f} with the likeliest word"
         return DecodeFailure(reason=f"{reason}, {config.format_floor:.2f} needed", version=version)
 
-    likeliest = np.argsort(-correlation, kind="stable")[: config.format_candidates]
+    likely = np.flatnonzero(correlation >= best - config.format_margin)
+    likely = likely[np.argsort(-correlation[likely], kind="stable")]
     outcomes = []
-    for index in likeliest[correlation[likeliest] >= best - config.format_margin]:
+    for index in likely[: config.format_candidates].tolist():
         level, mask = meaning[index]
         outcome = _decode_format(q, version, level, mask, config, effort, mirrored=mirrored)
         if isinstance(outcome, Decoded):
@@ -294,14 +295,15 @@ def _correct_block(
     """
     received = np.packbits(soft < 0.0)
     syndromes = _syndromes(received, block.n_check)
-    strength = np.abs(soft) / max(float(np.abs(soft).mean()), _TINY)
+    strength = np.abs(soft)
+    strength /= max(float(strength.sum()) / len(soft), _TINY)
     weights = np.minimum(strength, _WEIGHT_CAP)
-    # Log probability that all eight bits of a codeword are right, with Gaussian noise of typical strength.
-    log_right = -np.logaddexp(0.0, -_LOG_ODDS * strength).reshape(-1, 8).sum(1)
-    doubtful = np.argsort(log_right, kind="stable").tolist()
 
     least = math.inf
+    doubtful: list[int] = []
     for n_erased in tries:
+        if n_erased and not doubtful:
+            doubtful = _doubtful(strength)
         codewords = _reed_solomon(received, syndromes, doubtful[:n_erased])
         if codewords is None:
             continue
@@ -327,6 +329,14 @@ def _correct_block(
     return f"error correction failed: too many of {n} codewords wrong for {block.n_check} check codewords"
 
 
+def _doubtful(strength: NDArray[np.float64]) -> list[int]:
+    """Return the codewords, the least certain first."""
+    # Log probability that all eight bits of a codeword are right, with Gaussian noise of typical strength.
+    log_right = -np.logaddexp(0.0, -_LOG_ODDS * strength).reshape(-1, 8).sum(1)
+    return np.argsort(log_right, kind="stable").tolist()
+
+
+@functools.cache
 def _tries(n_check: int, config: DecodeConfig, effort: Effort) -> list[int]:
     """Return the numbers of codewords to erase, in turn.
 

@@ -52,6 +52,11 @@ class Window:
         return 0.5 * (self.start_us + self.end_us)
 
     @cached_property
+    def address(self) -> int:
+        """Of the first event's column in memory: windows that share it share their first events."""
+        return self.events.x.__array_interface__["data"][0]
+
+    @cached_property
     def x(self) -> NDArray[np.float32]:
         """Columns (E,) [px]."""
         return self.events.x.astype(np.float32)

@@ -119,5 +119,5 @@ GATE = {
     "seed": 6,
 }
 
-#: Windows for one thread against two.
-THREADS = {"scene": "fast-2H-30", "windows": 48, "rounds": 5}
+#: Windows of each scene for one thread against two, and how often.
+THREADS = {"windows": 400, "rounds": 3}

@@ -65,13 +65,13 @@ def _make_multiply_adds(dtype: type) -> wp.Kernel:
     return multiply_adds
 
 
-def multiply_adds(dtype: str) -> Callable[[], None]:
-    """Make a call that does ``LANES * STEPS`` of them, on independent chains in vector registers."""
+def multiply_adds(dtype: str, times: int = 1) -> Callable[[], None]:
+    """Make a call that does ``times * LANES * STEPS``, on independent chains in vector registers."""
     kind = {"float32": wp.float32, "float64": wp.float64}[dtype]
     factor = wp.array([0.5], dtype=kind, device="cpu")
     out = wp.zeros(3, dtype=vector(LANES, kind), device="cpu")
     command = wp.launch(
-        _make_multiply_adds(kind), 1, inputs=[factor], outputs=[out], device="cpu", record_cmd=True
+        _make_multiply_adds(kind), times, inputs=[factor], outputs=[out], device="cpu", record_cmd=True
     )
 
     def run() -> None:
@@ -79,6 +79,11 @@ def multiply_adds(dtype: str) -> Callable[[], None]:
         assert out.ptr and factor.ptr  # a command has their addresses only
 
     return run
+
+
+def control(dtype: str) -> Callable[[], None]:
+    """Make a call of some milliseconds that shares nothing with others: what the machine has for threads."""
+    return multiply_adds(dtype, 1000)
 
 
 @cache

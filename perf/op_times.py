@@ -156,7 +156,7 @@ def time_threads(op: str, target: Target, rounds: int) -> list[Row]:
     """
     size = SIZES["production"]
     runs = [target.prepare(op, size).__call__ for _ in range(2)]
-    control = [limits.multiply_adds(target.dtype) for _ in range(2)]
+    control = [limits.control(target.dtype) for _ in range(2)]
     with ThreadPoolExecutor(2) as pool, contextlib.ExitStack() as stack:
         contestants = {
             "1": timing.measured_together(runs[:1], pool),

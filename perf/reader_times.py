@@ -7,12 +7,15 @@ import subprocess
 import sys
 import tempfile
 import time
+from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 
 import cases
 import h5py
+import limits
 import numpy as np
 import pipeline
+import timing
 from table import Row, row
 
 from evqr import EventArray, ReadConfig, open_recording, read_codes, read_windows
@@ -138,22 +141,29 @@ def time_pipeline(recordings: list[pipeline.Recording], device: str, rounds: int
 
 
 def time_threads(device: str) -> list[Row]:
-    """Time one thread against two on many windows, in turns."""
-    events = simulated(cases.THREADS["scene"]).events
+    """Time one thread against two on many windows of every scene, in turns.
+
+    Beside them runs what shares nothing, multiply-adds in registers: less than 2 there is what the machine
+    has not to give.
+    """
     config = ReadConfig(max_windows=cases.THREADS["windows"])
-    rates: dict[int, list[float]] = {1: [], 2: []}
-    for round_ in range(cases.THREADS["rounds"] + 1):
-        for threads, of_threads in rates.items():
-            begin = time.perf_counter()
-            count = sum(1 for _ in read_windows(events, config=config, device=device, threads=threads))
-            if round_ > 0:
-                of_threads.append(count / (time.perf_counter() - begin))
-    rows = [
-        row("windows/s", cases.THREADS["scene"], f"{threads} threads", "total", of_threads)
-        for threads, of_threads in rates.items()
-    ]
-    ratios = [two / one for one, two in zip(rates[1], rates[2], strict=True)]
-    rows.append(
-        row("ratio", cases.THREADS["scene"], "2 threads / 1", "total", ratios, required=THREADS_RATIO)
-    )
+    scenes = {name: simulate(**case["scene"]).events for name, case in cases.PIPELINE.items()}
+    control = [limits.control("float32") for _ in range(2)]
+    rows, ratios, given = [], [], []
+    with ThreadPoolExecutor(2) as pool:
+        alone, both = (timing.measured_together(control[:count], pool) for count in (1, 2))
+        for name, events in scenes.items():
+            rates: dict[int, list[float]] = {1: [], 2: []}
+            for _ in range(cases.THREADS["rounds"]):
+                for threads, of_threads in rates.items():
+                    begin = time.perf_counter()
+                    windows = read_windows(events, config=config, device=device, threads=threads)
+                    count = sum(1 for _ in windows)
+                    of_threads.append(count / (time.perf_counter() - begin))
+                given.append(2.0 * alone() / both())
+            for threads, of_threads in rates.items():
+                rows.append(row("windows/s", name, f"{threads} threads", "total", of_threads))
+            ratios += [two / one for one, two in zip(rates[1], rates[2], strict=True)]
+    rows.append(row("ratio", "all", "2 threads / 1", "total", ratios, required=THREADS_RATIO))
+    rows.append(row("ratio", "all", "multiply-adds, 2 / 1", "total", given))
     return rows

@@ -327,13 +327,12 @@ def find_hypotheses(
     table.host[0, :count, 4] = peaks.angle
     table.push()
     run()
-    found = triples.read()[0]
-    corner, place = np.nonzero(found[..., 0])
-    found = found[corner, place]
-    best = np.argsort(-found[:, 0], kind="stable")
+    found = triples.read().reshape(-1, 4)
+    best = np.flatnonzero(found[:, 0])
+    best = best[np.argsort(-found[best, 0], kind="stable")]
     wanted = cfg.looks[-1].hypotheses if most is None else most
     hypotheses: list[Hypothesis] = []
-    rows = zip(corner[best], found[best].tolist(), strict=True)
+    rows = zip((best // MOST_OF_A_CORNER).tolist(), found[best].tolist(), strict=True)
     for triple, (i, (response, j, k, log_modules)) in enumerate(rows):
         at = peaks.position[i]
         legs = peaks.position[int(j)] - at, peaks.position[int(k)] - at
