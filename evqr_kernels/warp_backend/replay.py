@@ -45,7 +45,8 @@ def run_sequence(steps: wp.array(dtype=wp.uint64), count: int):
 
 def replayer(steps: list[Step]) -> Callable[[], Any]:
     """Give the function that makes the steps, in order."""
-    if steps and steps[0].device.is_cpu and wp.config.version.startswith(ENTRIES_OF):
+    solid = all(isinstance(step, wp.Launch) or step.is_contiguous for step in steps)
+    if steps and steps[0].device.is_cpu and solid and wp.config.version.startswith(ENTRIES_OF):
         return _in_one_launch(steps)
     calls = [step.launch if isinstance(step, wp.Launch) else step.zero_ for step in steps]
 

@@ -72,6 +72,35 @@ def test_threads_record_and_replay_each_its_own(placed):
         assert list(pool.map(work, range(1, 21))) == [3.0 * times for times in range(1, 21)]
 
 
+def test_what_is_cleared_need_not_be_in_one_piece(placed):
+    backend, device = placed.backend, placed.device
+    ones = backend.from_host(np.ones((1, 4, 16), np.float32), device)
+    recorded = backend.record(lambda: backend.clear(ones[:, 1:3, 4:8]))
+    recorded()
+    backend.synchronize(device)
+    expected = np.ones((1, 4, 16))
+    expected[:, 1:3, 4:8] = 0.0
+    np.testing.assert_array_equal(backend.to_host(ones), expected)
+
+
+def test_on_the_cpu_a_sequence_is_one_launch(monkeypatch):
+    """Where this fails: does an entry of this version of Warp still take two pointers (replay.py)?"""
+    import warp as wp
+
+    from evqr_kernels.warp_backend import replay
+
+    assert wp.config.version.startswith(replay.ENTRIES_OF)
+    backend, launch, counts = get_backend("warp"), wp.Launch.launch, []
+    monkeypatch.setattr(wp.Launch, "launch", lambda self: (counts.append(counts.pop() + 1), launch(self)))
+    for versions in (replay.ENTRIES_OF, ("no version",)):
+        monkeypatch.setattr(replay, "ENTRIES_OF", versions)
+        counts.append(0)
+        image, _, run = counting(backend, "cpu")
+        backend.record(run)()
+        assert value(backend, image, "cpu") == 3.0
+    assert counts == [1, 2]
+
+
 def test_an_error_ends_the_recording(placed):
     backend, device = placed.backend, placed.device
     image, _, run = counting(backend, device)
