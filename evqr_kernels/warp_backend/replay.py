@@ -20,6 +20,8 @@ ENTRIES_OF = ("1.19.",)
 """Versions of Warp whose compiled kernels are known to be functions of two pointers, to the bounds of the
 launch and to a structure of its arguments; with others, each step is launched by itself."""
 
+_ENTRY = ctypes.CFUNCTYPE(None, ctypes.c_void_p, ctypes.c_void_p)
+
 
 @wp.func_native("""
     typedef void (*entry_t)(void*, void*);
@@ -47,7 +49,7 @@ def replayer(steps: list[Step]) -> Callable[[], Any]:
     """Give the function that makes the steps, in order."""
     solid = all(isinstance(step, wp.Launch) or step.is_contiguous for step in steps)
     if steps and steps[0].device.is_cpu and solid and wp.config.version.startswith(ENTRIES_OF):
-        return _in_one_launch(steps)
+        return _Sequence(steps)
     calls = [step.launch if isinstance(step, wp.Launch) else step.zero_ for step in steps]
 
     def replay() -> None:
@@ -57,27 +59,36 @@ def replayer(steps: list[Step]) -> Callable[[], Any]:
     return replay
 
 
-def _in_one_launch(steps: list[Step]) -> Callable[[], Any]:
-    table = np.zeros((len(steps), 3), np.uint64)
-    kept: list[Any] = [steps]
-    for row, step in zip(table, steps, strict=True):
-        if isinstance(step, wp.Launch):
-            arguments = _structure(step.params[1:])
-            kept.append(arguments)
-            row[0] = ctypes.cast(step.hooks.forward, ctypes.c_void_p).value
-            row[1], row[2] = ctypes.addressof(step.bounds), ctypes.addressof(arguments)
+class _Sequence:
+    """Steps on the CPU as one call; it keeps what the call has only the addresses of."""
+
+    def __init__(self, steps: list[Step]) -> None:
+        self._steps, self._arguments = steps, []
+        self._table = np.zeros((len(steps), 3), np.uint64)
+        for row, step in zip(self._table, steps, strict=True):
+            if isinstance(step, wp.Launch):
+                row[:] = self._call_of(step)
+            else:
+                row[1:] = step.ptr, step.size * wp.types.type_size_in_bytes(step.dtype)
+        self._array = wp.array(self._table.ravel(), dtype=wp.uint64, device="cpu")
+        self._launch = wp.launch(
+            run_sequence, 1, inputs=[self._array, len(steps)], device="cpu", record_cmd=True
+        )
+        entry, *self._call = self._call_of(self._launch)
+        self._entry = _ENTRY(entry)
+        self._device = self._launch.device
+
+    def _call_of(self, launch: wp.Launch) -> tuple[int, int, int]:
+        """Lay a launch's arguments out in memory; the address of its kernel, its bounds and its arguments."""
+        values = launch.params[1:]  # behind the bounds
+        fields = [(f"argument_{i}", type(value)) for i, value in enumerate(values)]
+        arguments = type("Arguments", (ctypes.Structure,), {"_fields_": fields})(*values)
+        self._arguments.append(arguments)
+        entry = ctypes.cast(launch.hooks.forward, ctypes.c_void_p).value
+        return entry, ctypes.addressof(launch.bounds), ctypes.addressof(arguments)
+
+    def __call__(self) -> None:
+        if self._device.is_capturing:
+            self._launch.launch()  # noted down in the graph
         else:
-            row[1], row[2] = step.ptr, step.size * wp.types.type_size_in_bytes(step.dtype)
-    array = wp.array(table.ravel(), dtype=wp.uint64, device="cpu")
-    command = wp.launch(run_sequence, 1, inputs=[array, len(steps)], device="cpu", record_cmd=True)
-    command.kept = (kept, table, array)  # the launch has their addresses only
-    return command.launch
-
-
-def _structure(values: list[Any]) -> ctypes.Structure:
-    """Lay arguments out in memory as a kernel takes them."""
-    fields = [(f"argument_{i}", type(value)) for i, value in enumerate(values)]
-    structure = type("Arguments", (ctypes.Structure,), {"_fields_": fields})()
-    for (name, _), value in zip(fields, values, strict=True):
-        setattr(structure, name, value)
-    return structure
+            self._entry(*self._call)
