@@ -19,7 +19,18 @@ from functools import cache
 
 import warp as wp
 
-from evqr_kernels.warp_backend.language import last_axis_as_vector, launch, module_of, neighbours, vector
+from evqr_kernels.warp_backend.language import (
+    last_axis_as_vector,
+    launch,
+    launch_bounds,
+    module_of,
+    neighbours,
+    vector,
+)
+
+CPU_RUN, GPU_RUN = 32, 1
+"""Points that one thread of the adjoint takes one after another: a CPU looks up once what belongs to the
+pose, a GPU wants many threads."""
 
 
 @cache
@@ -150,39 +161,45 @@ def sample_moments(image, image_idx, pose, active, points, table, chunks_out, mo
 
 @cache
 def make_sample_moments_adjoint(dtype: type, columns: int) -> wp.Kernel:
-    """Build the adjoint in the image; launch: one thread per (pose, point)."""
+    """Build the adjoint in the image; launch: one thread per (pose, run of points)."""
     vec_columns = vector(columns, dtype)
+    vec_pair = vector(2, dtype)
     bilinear = make_bilinear(dtype)
     inside = make_inside(dtype)
     project = make_project(dtype)
 
-    @wp.kernel(module=module_of(f"pose_adjoint_{columns}", dtype))
+    @wp.kernel(module=module_of(f"pose_adjoint_{columns}", dtype), launch_bounds=launch_bounds(dtype))
     def sample_moments_adjoint(
-        pairs: wp.array3d(dtype=vector(2, dtype)),
+        pairs: wp.array3d(dtype=vec_pair),
         image_idx: wp.array(dtype=wp.int32),
         pose: wp.array2d(dtype=dtype),
         active: wp.array(dtype=wp.int32),
         points: wp.array2d(dtype=dtype),
         table: wp.array(dtype=vec_columns),
         adj_moments: wp.array2d(dtype=dtype),
-        adj_image_out: wp.array3d(dtype=dtype),
+        adj_moment_blocks: wp.array2d(dtype=vec_columns),
+        run: int,
+        adj_pairs_out: wp.array3d(dtype=vec_pair),
     ):
-        h, s = wp.tid()
-        x, y = project(pose, h, points[s, 0], points[s, 1])
-        if active[h] != 0 and inside(x, y, adj_image_out.shape[1], adj_image_out.shape[2]):
-            b = image_idx[h]
-            adj = dtype(2.0) * bilinear(pairs, b, x, y) * adj_moments[h, columns]
-            for c in range(columns):
-                adj += adj_moments[h, c] * table[s][c]
-            column = int(x)
-            row = int(y)
-            right = (x - dtype(column)) * adj
-            left = adj - right
-            fy = y - dtype(row)
-            wp.atomic_add(adj_image_out, b, row, column, left - fy * left)
-            wp.atomic_add(adj_image_out, b, row, column + 1, right - fy * right)
-            wp.atomic_add(adj_image_out, b, row + 1, column, fy * left)
-            wp.atomic_add(adj_image_out, b, row + 1, column + 1, fy * right)
+        h, k = wp.tid()
+        if active[h] == 0:
+            return
+        b = image_idx[h]
+        height = adj_pairs_out.shape[1]
+        width = adj_pairs_out.shape[2] + 1
+        adj_table = adj_moment_blocks[h, 0]
+        twice_adj_energy = dtype(2.0) * adj_moments[h, columns]
+        for s in range(k * run, wp.min((k + 1) * run, points.shape[0])):
+            x, y = project(pose, h, points[s, 0], points[s, 1])
+            if inside(x, y, height, width):
+                adj = twice_adj_energy * bilinear(pairs, b, x, y) + wp.dot(adj_table, table[s])
+                column = int(x)
+                row = int(y)
+                right = (x - dtype(column)) * adj
+                both = vec_pair(adj - right, right)
+                below = (y - dtype(row)) * both
+                wp.atomic_add(adj_pairs_out, b, row, column, both - below)
+                wp.atomic_add(adj_pairs_out, b, row + 1, column, below)
 
     return sample_moments_adjoint
 
@@ -191,9 +208,10 @@ def sample_moments_adjoint(image, image_idx, pose, active, points, table, adj_mo
     """Launch; accumulates.  Float atomics: on a GPU sums repeat to a tolerance, not bit for bit."""
     dtype = image.dtype
     columns = table.shape[1]
+    run = CPU_RUN if image.device.is_cpu else GPU_RUN
     launch(
         make_sample_moments_adjoint(dtype, columns),
-        (pose.shape[0], points.shape[0]),
+        (pose.shape[0], -(-points.shape[0] // run)),
         inputs=[
             neighbours(image, 2),
             image_idx,
@@ -202,7 +220,9 @@ def sample_moments_adjoint(image, image_idx, pose, active, points, table, adj_mo
             points,
             last_axis_as_vector(table),
             adj_moments,
+            neighbours(adj_moments, columns),
+            run,
         ],
-        outputs=[adj_image_out],
+        outputs=[neighbours(adj_image_out, 2)],
         device=image.device,
     )
