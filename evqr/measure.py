@@ -45,6 +45,7 @@ class Measure(Step):
     ) -> None:
         super().__init__(workspace.backend)
         one = cfg.stage_one
+        self._deposit = deposit  # it is known by its id as long as this lives
         self.sharpen = Sharpen(deposit.cells, 1, workspace)
         image = self.sharpen.images
         self.align = Align(image, 1, version, fine_levels(one), one.max_iterations, one, workspace)

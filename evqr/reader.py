@@ -131,7 +131,9 @@ def read_windows(
         # a solver of its own, for the motion that windows are as long as: the others are at work meanwhile
         ahead = _starts(events, recording, Solver(config, backend=backend, device=device))
         running: deque[tuple[int, Future[list[WindowReading]]]] = deque()
-        while starts := list(itertools.islice(ahead, WINDOWS_A_JOB)):
+        most = solvers[0].config.max_windows
+        together = WINDOWS_A_JOB if most is None else min(WINDOWS_A_JOB, -(-most // len(solvers)))
+        while starts := list(itertools.islice(ahead, together)):
             running.append((starts[0].us, pool.submit(job, starts)))
             if len(running) > 2 * len(solvers):
                 events.forget(running[0][0])

@@ -7,7 +7,8 @@ numbers and one right-hand side, both of which add over windows: many windows of
 Damping is what is known of a module before: it is dark or light, so about 1 away from grey, against the noise
 of the events.  A pull to grey alone is a bias, though: where a code moves along its rows only the ends of a
 dark run cause events, and its inside is pulled back half of the way.  So the modules are solved for again,
-each pulled to where the solution before says, until nearly all are clear.
+each pulled to the dark or light that it leant to before, or less where that was little, until nearly all are
+clear.
 """
 
 from __future__ import annotations
@@ -203,7 +204,8 @@ def solve_modules(equations: NormalEquations, cfg: StageTwoConfig, *, workspace:
     damping.write(pull)
     seen = equations.rhs / peak
     q.write(start)
-    expected, steps = np.zeros_like(start), 0
+    found = expected = np.zeros_like(start)
+    steps = 0
     inner = slice(QUIET_MODULES, -QUIET_MODULES)
     for _ in range(cfg.passes):
         # the pull is of q to what is expected, not of q - 1: that moves the right-hand side

@@ -21,12 +21,17 @@ class Window:
     ----------
     events             as recorded, in order of time
     start_us, end_us   bounds, the end not included [us]
+    origin             what the events were cut from, and the first of them there: windows that share it share
+                       their first events.  None: unknown
     """
 
-    def __init__(self, events: EventArray, start_us: int, end_us: int) -> None:
+    def __init__(
+        self, events: EventArray, start_us: int, end_us: int, *, origin: tuple[EventArray, int] | None = None
+    ) -> None:
         self.events = events
         self.start_us = start_us
         self.end_us = end_us
+        self.origin = origin
 
     def __len__(self) -> int:
         return len(self.events)
@@ -51,10 +56,11 @@ class Window:
         """Reference time of the window: its middle [us]."""
         return 0.5 * (self.start_us + self.end_us)
 
-    @cached_property
-    def address(self) -> int:
-        """Of the first event's column in memory: windows that share it share their first events."""
-        return self.events.x.__array_interface__["data"][0]
+    def begins_like(self, other: Window) -> bool:
+        """Whether the shorter of the two is the beginning of the other, so that it has the same events."""
+        if self.origin is None or other.origin is None:
+            return self is other
+        return self.origin[0] is other.origin[0] and self.origin[1] == other.origin[1]
 
     @cached_property
     def x(self) -> NDArray[np.float32]:
@@ -147,11 +153,11 @@ class EventBuffer:
         with self._lock:
             self.reaches(end_us)
             held = list(self._held)
-        parts = [c.between(start_us, end_us) for c in held if c.t[-1] >= start_us and c.t[0] < end_us]
-        if not parts:
-            parts = [held[-1].cut(0, 0)]
-        if len(parts) == 1:
-            return Window(parts[0], start_us, end_us)
+        chunks = [chunk for chunk in held if chunk.t[-1] >= start_us and chunk.t[0] < end_us]
+        if len(chunks) == 1:
+            first, last = (int(chunks[0].t.searchsorted(time)) for time in (start_us, end_us))
+            return Window(chunks[0].cut(first, last), start_us, end_us, origin=(chunks[0], first))
+        parts = [chunk.between(start_us, end_us) for chunk in chunks] or [held[-1].cut(0, 0)]
         joined = EventArray(
             np.concatenate([part.t for part in parts]),
             np.concatenate([part.x for part in parts]),

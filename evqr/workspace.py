@@ -84,10 +84,10 @@ class EventSlots:
     def holds(self, window: Window) -> bool:
         """Whether the events of a window are there, alone or the first of more."""
         held = self._window
-        if held is None or len(window) > len(held) or self.capacity > MOST_ROOM * max(len(window), 1):
-            return False
-        # whoever fills one array again and again gives it another beginning in time
-        return window is held or (window.start_us == held.start_us and window.address == held.address)
+        if held is None or window is held:
+            return window is held
+        fits = len(window) <= len(held) and self.capacity <= max(FEWEST_EVENTS, MOST_ROOM * len(window))
+        return fits and window.begins_like(held)
 
     def load(self, window: Window) -> None:
         """Put the events of a window there."""
@@ -142,9 +142,10 @@ class Workspace:
         return self.once(key, lambda: self.put(array))
 
     def events(self, window: Window, times: bool = True) -> EventSlots:
-        """Give the events of a window on the device, until the next window of that size class.
+        """Give the events of a window on the device, until the next window of that size.
 
-        Windows of one beginning share their events; without ``times`` those may be another window's.
+        A window that is the beginning of one that is there lies in its room; without ``times`` the times
+        there may be those of the other one.
         """
         slots = next((slots for slots in self._slots.values() if slots.holds(window)), None)
         if slots is None:

@@ -64,7 +64,8 @@ class KernelBackend(Protocol):
         """Note down what ``run``, made of this backend's operations and `clear`, launches, launching nothing.
 
         The result launches it all on the same arrays, as often as it is called, with little to do between
-        launches.  Several threads may record and replay at once.
+        launches.  Several threads may record and replay at once.  Keep it for as long as a graph lives that
+        it was captured in.
         """
         ...
 

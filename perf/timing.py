@@ -74,19 +74,17 @@ def measured(
 def measured_together(runs: list[Callable[[], object]], pool: ThreadPoolExecutor) -> Callable[[], float]:
     """Make what measures calls in a thread each, until the last has ended: seconds for one call of each."""
     count = 4 * repeats(runs[0])  # that one starts or ends before another must not matter
-    gate = Barrier(len(runs) + 1)
+    gate = Barrier(len(runs))
 
-    def work(run: Callable[[], object]) -> None:
-        gate.wait()
-        for _ in range(count):
-            run()
-
-    def once() -> float:
-        jobs = [pool.submit(work, run) for run in runs]
+    def work(run: Callable[[], object]) -> tuple[float, float]:
         gate.wait()
         begin = time.perf_counter()
-        for job in jobs:
-            job.result()
-        return (time.perf_counter() - begin) / count
+        for _ in range(count):
+            run()
+        return begin, time.perf_counter()
+
+    def once() -> float:
+        begins, ends = zip(*pool.map(work, runs), strict=True)
+        return (max(ends) - min(begins)) / count
 
     return lambda: min(once() for _ in range(TRIES))

@@ -137,7 +137,7 @@ def _spans(cfg: FinderConfig) -> NDArray[np.int32]:
     return np.array([(c.argmax(), len(c) - c[::-1].argmax()) for c in disc.T > 0.0], np.int32)
 
 
-@functools.lru_cache(maxsize=360)
+@functools.lru_cache(maxsize=361)
 def _bank(degrees: int, cfg: FinderConfig) -> tuple[NDArray[np.float64], ...]:
     """Give the templates for a direction of motion as a basis (n, n, TERMS) and a mixture (ANGLES, TERMS)."""
     gradients, _ = _template_gradients(cfg.cells_a_module, cfg.half)

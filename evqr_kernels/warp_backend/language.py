@@ -7,13 +7,13 @@ from typing import Any
 
 import warp as wp
 
-from evqr_kernels.warp_backend.replay import Step, replayer
+from evqr_kernels.warp_backend.replay import Recorded, replayer
 
 
 class _Recording(threading.local):
     """What this thread records instead of launching; None while it does not."""
 
-    steps: list[Step] | None = None
+    steps: list[Recorded] | None = None
 
 
 _recording = _Recording()
@@ -33,7 +33,7 @@ def clear(array: wp.array) -> None:
     """Fill with zeros, or note that down while this thread records."""
     if _recording.steps is None:
         array.zero_()
-    else:
+    elif array.size:
         _recording.steps.append(array)
 
 
@@ -43,7 +43,7 @@ def record(run: Callable[[], None]) -> Callable[[], Any]:
     A launch has its arguments checked and packed: a fifth of a millisecond for twenty kernels, which a
     recorded sequence pays once.
     """
-    steps: list[Step] = []
+    steps: list[Recorded] = []
     _recording.steps = steps
     try:
         run()

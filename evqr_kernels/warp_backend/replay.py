@@ -13,7 +13,7 @@ from typing import Any, TypeAlias
 import numpy as np
 import warp as wp
 
-Step: TypeAlias = "wp.Launch | wp.array"
+Recorded: TypeAlias = "wp.Launch | wp.array"
 """A launch, or an array to fill with zeros."""
 
 ENTRIES_OF = ("1.19.",)
@@ -25,7 +25,7 @@ _ENTRY = ctypes.CFUNCTYPE(None, ctypes.c_void_p, ctypes.c_void_p)
 
 @wp.func_native("""
     typedef void (*entry_t)(void*, void*);
-    const wp::uint64* step = steps.data;
+    const wp::uint64* step = steps_inout.data;
     for (int i = 0; i < count; ++i, step += 3) {
         void* where = (void*)step[1];
         if (step[0])
@@ -34,18 +34,18 @@ _ENTRY = ctypes.CFUNCTYPE(None, ctypes.c_void_p, ctypes.c_void_p)
             memset(where, 0, step[2]);
     }
 """)
-def run_steps(steps: wp.array(dtype=wp.uint64), count: int):
+def run_steps(count: int, steps_inout: wp.array(dtype=wp.uint64)):
     """Call kernels by their addresses."""
     ...
 
 
 @wp.kernel(module="unique", enable_backward=False)
-def run_sequence(steps: wp.array(dtype=wp.uint64), count: int):
+def run_sequence(count: int, steps_inout: wp.array(dtype=wp.uint64)):
     """Run each step: a kernel's address, bounds and arguments, or zero, an address and a number of bytes."""
-    run_steps(steps, count)
+    run_steps(count, steps_inout)
 
 
-def replayer(steps: list[Step]) -> Callable[[], Any]:
+def replayer(steps: list[Recorded]) -> Callable[[], Any]:
     """Give the function that makes the steps, in order."""
     solid = all(isinstance(step, wp.Launch) or step.is_contiguous for step in steps)
     if steps and steps[0].device.is_cpu and solid and wp.config.version.startswith(ENTRIES_OF):
@@ -60,9 +60,9 @@ def replayer(steps: list[Step]) -> Callable[[], Any]:
 
 
 class _Sequence:
-    """Steps on the CPU as one call; it keeps what the call has only the addresses of."""
+    """Steps on the CPU as one call; keeps what the call, or a graph, has only the addresses of."""
 
-    def __init__(self, steps: list[Step]) -> None:
+    def __init__(self, steps: list[Recorded]) -> None:
         self._steps, self._arguments = steps, []
         self._table = np.zeros((len(steps), 3), np.uint64)
         for row, step in zip(self._table, steps, strict=True):
@@ -72,7 +72,7 @@ class _Sequence:
                 row[1:] = step.ptr, step.size * wp.types.type_size_in_bytes(step.dtype)
         self._array = wp.array(self._table.ravel(), dtype=wp.uint64, device="cpu")
         self._launch = wp.launch(
-            run_sequence, 1, inputs=[self._array, len(steps)], device="cpu", record_cmd=True
+            run_sequence, 1, inputs=[len(steps)], outputs=[self._array], device="cpu", record_cmd=True
         )
         entry, *self._call = self._call_of(self._launch)
         self._entry = _ENTRY(entry)

@@ -261,3 +261,11 @@ def test_a_later_window_leaves_earlier_equations_alone(workspace, see):
     np.testing.assert_array_equal(first.rhs, rhs)
     np.testing.assert_array_equal(first.stencil, stencil)
     np.testing.assert_array_equal(estimate, kept)
+
+
+@pytest.mark.parametrize(
+    "wrong", [{"passes": 0}, {"damping_range": (0.5, 0.04)}, {"certainty": 0.0}], ids=str
+)
+def test_settings_that_mean_nothing_are_refused(wrong):
+    with pytest.raises(ValueError, match=next(iter(wrong))):
+        StageTwoConfig(**wrong)

@@ -1,0 +1,68 @@
+"""Events on the device: shared by windows of one beginning, and by no others."""
+
+import numpy as np
+import pytest
+
+from evqr.types import EventArray
+from evqr.windows import EventBuffer, make_window
+from evqr.workspace import Workspace
+from evqr_kernels import get_backend
+
+COUNT = 4000
+
+
+@pytest.fixture
+def workspace():
+    return Workspace(get_backend("numpy"), "cpu")
+
+
+@pytest.fixture
+def events(rng):
+    x, y = rng.integers(0, 100, (2, COUNT)).astype(np.uint16)
+    p = rng.choice([-1, 1], COUNT).astype(np.int8)
+    return EventArray(np.arange(COUNT, dtype=np.int64), x, y, p, 100, 100)
+
+
+@pytest.fixture
+def rng():
+    return np.random.default_rng(5)
+
+
+def assert_there(slots, window):
+    count = len(window)
+    for there, column in ((slots.x, window.x), (slots.y, window.y), (slots.p, window.p), (slots.t, window.t)):
+        np.testing.assert_array_equal(there[:count], column)
+
+
+def test_windows_of_one_beginning_share_their_events(workspace, events):
+    buffer = EventBuffer(iter([events]))
+    long, short = buffer.window(500, 3500), buffer.window(500, 1500)
+    slots = workspace.events(long)
+    slots.x[0] = -7.0  # whoever loads again finds another value there
+    assert workspace.events(short) is slots
+    assert slots.x[0] == -7.0
+    np.testing.assert_array_equal(slots.t[: len(short)], short.t)
+    assert_there(workspace.events(buffer.window(501, 1500)), buffer.window(501, 1500))
+    assert_there(workspace.events(buffer.window(500, 3600)), buffer.window(500, 3600))
+
+
+def test_a_window_is_loaded_once(workspace, events):
+    window = make_window(events, 0, 50)
+    slots = workspace.events(window)
+    slots.x[0] = -7.0
+    assert workspace.events(window).x[0] == -7.0
+
+
+@pytest.mark.parametrize("other", ["polarity", "every second", "filled again"])
+def test_other_events_are_not_taken_for_the_same(other, workspace, events):
+    """Windows made of arrays say nothing about what else lies in them."""
+    workspace.events(make_window(events, 0, COUNT))
+    e = events
+    if other == "polarity":
+        e = EventArray(e.t, e.x, e.y, -e.p, 100, 100)
+    elif other == "every second":
+        e = EventArray(e.t[::2], e.x[::2], e.y[::2], e.p[::2], 100, 100)
+    else:
+        e.x[:] = 7
+    window = make_window(e, 0, COUNT)
+    assert_there(workspace.events(window), window)
