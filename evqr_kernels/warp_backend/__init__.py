@@ -175,7 +175,7 @@ def _modules(kernels: KernelSet, device: str) -> list[wp.Module]:
         templates.make_quiet_floor(f32),
         templates.make_correlate_basis(f32, block),
         templates.make_best_template(f32),
-        peaks.make_local_maxima(f32),
+        peaks.make_local_maxima(f32, peaks.block_of(wp.get_device(device))),
         peaks.make_merge_maxima(f32),
         peaks.make_match_corners(f32),
         align.make_align_poses(f32, kernels.table_columns, unrolled=device == "cpu"),

@@ -25,21 +25,27 @@ from evqr_kernels.warp_backend.language import launch, module_of, neighbours, ve
 PEAK = 5
 """Entries of a peak."""
 
-BLOCK = 8
-"""Neighbouring entries that are passed over together where all of them are 0, as most are."""
+CPU_BLOCK, GPU_BLOCK = 8, 1
+"""Neighbouring entries passed over together where all of them are 0, as most are; one by one on GPUs,
+whose registers they would not fit."""
+
+
+def block_of(device: wp.Device) -> int:
+    """Choose the block for a device."""
+    return CPU_BLOCK if device.is_cpu else GPU_BLOCK
 
 
 @cache
-def make_local_maxima(dtype: type) -> wp.Kernel:
+def make_local_maxima(dtype: type, block: int) -> wp.Kernel:
     """Build the search on one level; launch: one thread per row."""
-    vec_block = vector(BLOCK, dtype)
+    vec_block = vector(block, dtype)
 
     @wp.func
     def vertex(before: dtype, here: dtype, after: dtype):
         curvature = wp.max(dtype(2.0) * here - before - after, dtype(1.0e-9))
         return wp.clamp(dtype(0.5) * (after - before) / curvature, dtype(-0.5), dtype(0.5))
 
-    @wp.kernel(module=module_of("peaks", dtype))
+    @wp.kernel(module=module_of(f"peaks_{block}", dtype))
     def local_maxima(
         response: wp.array3d(dtype=dtype),
         blocks: wp.array3d(dtype=vec_block),
@@ -62,11 +68,12 @@ def make_local_maxima(dtype: type) -> wp.Kernel:
         x = wp.int32(1)
         while x < width - 1:
             here = wp.abs(response[b, y, x])
-            if here == dtype(0.0) and x + BLOCK <= width:
-                block = blocks[b, y, x]
-                if wp.dot(block, block) == dtype(0.0):
-                    x += BLOCK
-                    continue
+            if wp.static(block > 1):
+                if here == dtype(0.0) and x + block <= width:
+                    entries = blocks[b, y, x]
+                    if wp.dot(entries, entries) == dtype(0.0):
+                        x += block
+                        continue
             if here > least:
                 sign = wp.sign(response[b, y, x])
                 top = wp.int32(1)
@@ -108,10 +115,11 @@ def make_local_maxima(dtype: type) -> wp.Kernel:
 
 def local_maxima(response, angle, least: float, cell: float, size: float, turn: float, maxima_out) -> None:
     """Launch; overwrites."""
+    block = block_of(response.device)
     launch(
-        make_local_maxima(response.dtype),
+        make_local_maxima(response.dtype, block),
         response.shape[:2],
-        inputs=[response, neighbours(response, BLOCK), angle, least, cell, size, turn],
+        inputs=[response, neighbours(response, block), angle, least, cell, size, turn],
         outputs=[maxima_out],
         device=response.device,
     )
