@@ -100,7 +100,9 @@ class Equations(Step):
         self._image, self._pose, self._gain = image, pose, gain
         axis = lattice(size_of(version), cfg.samples)
         count, modules = len(axis), len(axis) // cfg.samples
-        b, slope, *self._correlations = _profile_tables(sigma, cfg.samples)
+        b, slope, bb, ss, bs = _profile_tables(sigma, cfg.samples)
+        mixed = np.outer(bs, bs[::-1])
+        self._products = np.outer(bb, ss), np.outer(ss, bb), mixed + mixed.T
         self._axis, self._profile, self._slope = (
             workspace.put(f.astype(np.float32)) for f in (axis, b, slope)
         )
@@ -117,11 +119,9 @@ class Equations(Step):
 
     def read(self, gain: NDArray[np.float64]) -> NormalEquations:
         """Wait for the device and give the equations, whose matrix depends on the gain alone."""
-        bb, ss, bs = self._correlations
-        a_u, a_v = gain
-        sb = bs[::-1]
-        stencil = a_u * a_u * np.outer(bb, ss) + a_v * a_v * np.outer(ss, bb)
-        stencil += a_u * a_v * (np.outer(bs, sb) + np.outer(sb, bs))
+        across, down, mixed = self._products
+        a_u, a_v = gain.tolist()
+        stencil = a_u * a_u * across + a_v * a_v * down + a_u * a_v * mixed
         return NormalEquations(self._version, stencil, self._rhs.read()[0].astype(np.float64))
 
 
@@ -205,7 +205,7 @@ def solve_modules(equations: NormalEquations, cfg: StageTwoConfig, *, workspace:
     seen = equations.rhs / peak
     q.write(start)
     found = expected = np.zeros_like(start)
-    steps = 0
+    steps, most_unclear = 0, cfg.unclear * size_of(version) ** 2
     inner = slice(QUIET_MODULES, -QUIET_MODULES)
     for _ in range(cfg.passes):
         # the pull is of q to what is expected, not of q - 1: that moves the right-hand side
@@ -214,6 +214,6 @@ def solve_modules(equations: NormalEquations, cfg: StageTwoConfig, *, workspace:
         steps += int(iterations.read()[0])
         found = q.read()[0] + np.float32(1.0)
         expected = np.clip(cfg.certainty * found, -1.0, 1.0)
-        if np.mean(np.abs(expected[inner, inner]) < 1.0) <= cfg.unclear:
+        if np.count_nonzero(np.abs(expected[inner, inner]) < 1.0) <= most_unclear:
             break
     return CodeEstimate(found[inner, inner], steps)

@@ -333,12 +333,12 @@ def find_hypotheses(
     wanted = cfg.looks[-1].hypotheses if most is None else most
     hypotheses: list[Hypothesis] = []
     rows = zip((best // MOST_OF_A_CORNER).tolist(), found[best].tolist(), strict=True)
+    places = peaks.position.tolist()
     for triple, (i, (response, j, k, log_modules)) in enumerate(rows):
-        at = peaks.position[i]
-        legs = peaks.position[int(j)] - at, peaks.position[int(k)] - at
         inverted = bool(peaks.response[i] < 0.0)
         for version in _versions(log_modules, cfg.scale_tolerance):
-            hypotheses.append(Hypothesis(version, _pose(at, *legs, version), response, inverted, triple))
+            pose = _pose(places[i], places[int(j)], places[int(k)], version)
+            hypotheses.append(Hypothesis(version, pose, response, inverted, triple))
         if len(hypotheses) >= wanted:
             break
     return hypotheses
@@ -351,11 +351,11 @@ def _versions(log_modules: float, tolerance: float) -> list[int]:
     return sorted(fits, key=lambda version: abs(math.log(10.0 + 4.0 * version) - log_modules))
 
 
-def _pose(
-    corner: NDArray[np.float64], leg_u: NDArray[np.float64], leg_v: NDArray[np.float64], version: int
-) -> NDArray[np.float64]:
-    """Affine pose from the centre of the top-left finder pattern and the two legs."""
-    pose = np.eye(3)
-    pose[:2, 0], pose[:2, 1] = leg_u / (10 + 4 * version), leg_v / (10 + 4 * version)
-    pose[:2, 2] = corner - 3.5 * (pose[:2, 0] + pose[:2, 1])
-    return pose
+def _pose(corner: list[float], along: list[float], down: list[float], version: int) -> NDArray[np.float64]:
+    """Affine pose from the centres (x, y) of the finder patterns: top left, top right and bottom left."""
+    legs = 10 + 4 * version  # modules between two centres
+    rows = []
+    for at, u, v in zip(corner, along, down, strict=True):
+        per_u, per_v = (u - at) / legs, (v - at) / legs
+        rows.append((per_u, per_v, at - 3.5 * (per_u + per_v)))
+    return np.array([*rows, (0.0, 0.0, 1.0)])
