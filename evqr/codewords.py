@@ -13,7 +13,7 @@ from typing import Literal
 import numpy as np
 from numpy.typing import NDArray
 
-from evqr.codespace import code_space, read_only
+from evqr.codespace import code_space, read_only, size_of
 
 ErrorLevel = Literal["L", "M", "Q", "H"]
 LEVELS: tuple[ErrorLevel, ...] = ("L", "M", "Q", "H")
@@ -87,15 +87,25 @@ def mask_signs(version: int) -> NDArray[np.int8]:
     return read_only(np.where(masks, -1, 1).astype(np.int8).reshape(N_MASKS, -1))
 
 
-@functools.cache
-def format_words(version: int) -> tuple[NDArray[np.float64], tuple[tuple[ErrorLevel, int], ...]]:
-    """Return the 32 words of format information and what they mean.
+@dataclass(frozen=True, eq=False, kw_only=True)
+class FormatWords:
+    """The 32 words of format information of a version.
 
-    Returns
-    -------
-    words : (32, 30) float64   -1 dark, +1 light, for the format modules in row order (both copies)
+    Attributes
+    ----------
+    at : (30,) intp            flat module index of each of their modules (both copies)
+    signs : (32, 30) float64   -1 dark, +1 light
     meaning                    level and mask of each word
     """
+
+    at: NDArray[np.intp]
+    signs: NDArray[np.float64]
+    meaning: tuple[tuple[ErrorLevel, int], ...]
+
+
+@functools.cache
+def format_words(version: int) -> FormatWords:
+    """Return the words of format information of a version."""
     from segno import consts, encoder
 
     space = code_space(version)
@@ -107,7 +117,8 @@ def format_words(version: int) -> tuple[NDArray[np.float64], tuple[tuple[ErrorLe
         matrix = [bytearray(space.size) for _ in range(space.size)]
         encoder.add_format_info(matrix, version, consts.ERROR_MAPPING[level], mask)
         words.append(np.where(np.array(matrix)[space.format], -1, 1))
-    return read_only(np.array(words, np.float64)), meaning
+    at = np.flatnonzero(space.format)
+    return FormatWords(at=read_only(at), signs=read_only(np.array(words, np.float64)), meaning=meaning)
 
 
 def symbol_of(codewords: NDArray[np.uint8], version: int, level: ErrorLevel, mask: int) -> NDArray[np.int8]:
@@ -117,14 +128,49 @@ def symbol_of(codewords: NDArray[np.uint8], version: int, level: ErrorLevel, mas
     ----------
     codewords : (n,) uint8   data and check codewords of the first block, then of the second, ...
     """
-    space = code_space(version)
-    words, meaning = format_words(version)
-    modules = np.ones(space.size**2, dtype=np.int8)
-    modules[codeword_layout(version, level).bits] = 1 - 2 * np.unpackbits(codewords).astype(np.int8)
-    modules = (modules * mask_signs(version)[mask]).reshape(space.size, space.size)
-    modules[space.known] = space.values[space.known]
-    modules[space.format] = words[meaning.index((level, mask))]
-    return modules
+    masked = _masked(version, level, mask)
+    modules = masked.symbol.copy()
+    dark = np.unpackbits(codewords ^ masked.codewords).view(np.int8)
+    modules[codeword_layout(version, level).bits] = 1 - 2 * dark
+    size = size_of(version)
+    return modules.reshape(size, size)
+
+
+@dataclass(frozen=True, eq=False, kw_only=True)
+class _Masked:
+    """What the codewords of one version, level and mask are drawn into.
+
+    Attributes
+    ----------
+    signs : (8 n,) float64     of the mask, in the order of the codewords' bits
+    codewords : (n,) uint8     that the mask turns into light modules
+    symbol : (r r,) int8       with those
+    """
+
+    signs: NDArray[np.float64]
+    codewords: NDArray[np.uint8]
+    symbol: NDArray[np.int8]
+
+
+@functools.cache
+def _masked(version: int, level: ErrorLevel, mask: int) -> _Masked:
+    space, words = code_space(version), format_words(version)
+    symbol = mask_signs(version)[mask].copy()
+    symbol[space.known.ravel()] = space.values[space.known]
+    symbol[words.at] = words.signs[words.meaning.index((level, mask))]
+    bits = codeword_layout(version, level).bits
+    signs = mask_signs(version)[mask][bits]
+    symbol[bits] = 1
+    return _Masked(
+        signs=read_only(signs.astype(np.float64)),
+        codewords=read_only(np.packbits(signs < 0)),
+        symbol=read_only(symbol),
+    )
+
+
+def unmasked(q: NDArray[np.float64], version: int, level: ErrorLevel, mask: int) -> NDArray[np.float64]:
+    """Return the modules (8 n,) that carry the codewords' bits, the mask undone, of a grid (r, r)."""
+    return q.ravel()[codeword_layout(version, level).bits] * _masked(version, level, mask).signs
 
 
 @functools.cache

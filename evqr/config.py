@@ -175,8 +175,8 @@ class StageTwoConfig:
             raise ValueError(f"passes must be at least 1, got {self.passes}")
         if not 0.0 < self.damping_range[0] <= self.damping_range[1]:
             raise ValueError(f"damping_range must be two positive numbers in order, got {self.damping_range}")
-        if self.certainty <= 0.0:
-            raise ValueError(f"certainty must be more than 0, got {self.certainty}")
+        if self.certainty < 1.0:
+            raise ValueError(f"certainty must be at least 1, got {self.certainty}")
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -21,17 +21,12 @@ import zxingcpp
 from numpy.typing import NDArray
 
 from evqr.chance import count_pads, log_chance_contents
-from evqr.codespace import code_space, version_of
-from evqr.codewords import Block, ErrorLevel, codeword_layout, format_words, mask_signs, symbol_of
+from evqr.codespace import version_of
+from evqr.codewords import Block, ErrorLevel, codeword_layout, format_words, symbol_of, unmasked
 
 Effort = Literal["quick", "full"]
 
-# GF(256) of the QR code.  Zero has no logarithm: its entry points behind the powers, where the table is zero.
-_FIELD = reedsolo.init_tables(prim=0x11D, generator=2, c_exp=8)
-_LOG = np.array(_FIELD[0], dtype=np.intp)
-_LOG[0] = 512
-_EXP = np.zeros(1024, dtype=np.uint8)
-_EXP[:510] = np.frombuffer(bytes(_FIELD[1]), dtype=np.uint8)
+_FIELD = reedsolo.init_tables(prim=0x11D, generator=2, c_exp=8)  # GF(256) of the QR code
 
 _QR_CODE = zxingcpp.barcode_formats_from_str("QRCode")
 
@@ -96,8 +91,6 @@ class Decoded:
     erasures                  codewords that were erased
     spare                     unused check codewords, n_check - 2 errors - erasures: the least over the blocks
     modules : (r, r) int8     the exact symbol, in the orientation of the grid: -1 dark, +1 light
-    agreement                 share of the data modules that agree in sign with the grid
-    correlation               normalised correlation of grid and symbol over the data modules
     log10_chance              decimal logarithm of the number of contents expected to agree as well by chance
     confidence                1 / (1 + wrong_grids 10^log10_chance): that the text is right, 0 to 1
     """
@@ -113,8 +106,6 @@ class Decoded:
     erasures: int
     spare: int
     modules: NDArray[np.int8]
-    agreement: float
-    correlation: float
     log10_chance: float
     confidence: float
 
@@ -184,13 +175,13 @@ def decode_grid(
 
 
 def _decode_oriented(
-    q: NDArray[np.floating], config: DecodeConfig, effort: Effort, *, mirrored: bool
+    q: NDArray[np.float64], config: DecodeConfig, effort: Effort, *, mirrored: bool
 ) -> Decoded | DecodeFailure:
     """Decode with each of the likely formats until one gives a reading."""
     version = version_of(len(q))
-    words, meaning = format_words(version)
-    soft = q[code_space(version).format]
-    correlation = (words @ soft) / max(float(np.abs(soft).sum()), _TINY)
+    words = format_words(version)
+    soft = q.ravel()[words.at]
+    correlation = (words.signs @ soft) / max(float(np.abs(soft).sum()), _TINY)
     best = correlation.max()
     if best < config.format_floor:
         reason = f"format information unreadable: its modules correlate {best:.2f} with the likeliest word"
@@ -200,7 +191,7 @@ def _decode_oriented(
     likely = likely[np.argsort(-correlation[likely], kind="stable")]
     outcomes = []
     for index in likely[: config.format_candidates].tolist():
-        level, mask = meaning[index]
+        level, mask = words.meaning[index]
         outcome = _decode_format(q, version, level, mask, config, effort, mirrored=mirrored)
         if isinstance(outcome, Decoded):
             return outcome
@@ -209,7 +200,7 @@ def _decode_oriented(
 
 
 def _decode_format(
-    q: NDArray[np.floating],
+    q: NDArray[np.float64],
     version: int,
     level: ErrorLevel,
     mask: int,
@@ -220,8 +211,7 @@ def _decode_format(
 ) -> Decoded | DecodeFailure:
     """Decode with known level and mask: correct every block, judge, rebuild the symbol, interpret it."""
     layout = codeword_layout(version, level)
-    signs = mask_signs(version)[mask]
-    soft = (q.ravel() * signs)[layout.bits]
+    soft = unmasked(q, version, level, mask)
     # Every format and orientation that might be tried is one more opportunity for chance.
     hypotheses = math.log(2 * config.format_candidates)
     log_limit = config.log_chance_limit - hypotheses - math.log(len(layout.blocks))
@@ -246,7 +236,7 @@ def _decode_format(
 
     modules = symbol_of(codewords, version, level, mask)
     barcode = zxingcpp.read_barcode(
-        np.where(modules > 0, np.uint8(255), np.uint8(0)),
+        ~modules.view(np.uint8),  # 0 and 254
         formats=_QR_CODE,
         text_mode=zxingcpp.TextMode.Plain,
         is_pure=True,
@@ -260,8 +250,6 @@ def _decode_format(
         return failed(f"{reason} (level {level}, mask {mask})")
 
     log_chance = hypotheses + float(np.logaddexp.reduce([b.log_chance for b in blocks]))
-    data = code_space(version).data
-    estimate, exact = q[data], modules[data]
     return Decoded(
         text=barcode.text,
         data=barcode.bytes,
@@ -274,8 +262,6 @@ def _decode_format(
         erasures=sum(b.erased for b in blocks),
         spare=min(b.spare for b in blocks),
         modules=modules.T if mirrored else modules,
-        agreement=np.count_nonzero(estimate * exact > 0.0) / len(exact),
-        correlation=float(estimate @ exact / math.sqrt(float(estimate @ estimate) * len(exact))),
         log10_chance=log_chance / math.log(10.0),
         confidence=1.0 / (1.0 + config.wrong_grids * math.exp(log_chance)),
     )
@@ -350,15 +336,22 @@ def _tries(n_check: int, config: DecodeConfig, effort: Effort) -> list[int]:
 
 
 @functools.cache
-def _syndrome_exponents(n: int, n_check: int) -> NDArray[np.intp]:
-    """Return the exponents of 2 by which n codewords count in the n_check syndromes, (n_check, n)."""
-    return np.outer(np.arange(n_check), np.arange(n - 1, -1, -1)) % 255
+def _contributions(n: int, n_check: int) -> tuple[NDArray[np.intp], NDArray[np.uint8]]:
+    """Return the n places, and what each value at each of them adds to the syndromes, (n, 256, n_check)."""
+    log, exp, _ = _FIELD
+    powers = np.frombuffer(bytes(exp), dtype=np.uint8)
+    places = np.arange(n)
+    # codeword i counts 2^(k (n - 1 - i)) times in syndrome k
+    exponents = np.outer(places[::-1], np.arange(n_check))
+    table = powers[(np.array(log)[:, None] + exponents[:, None]) % 255]
+    table[:, 0] = 0  # zero has no logarithm
+    return places, table
 
 
 def _syndromes(codewords: NDArray[np.uint8], n_check: int) -> NDArray[np.uint8]:
     """Return the syndromes, all zero for a valid block.  reedsolo's own loop takes ten times as long."""
-    exponents = _syndrome_exponents(len(codewords), n_check)
-    return np.bitwise_xor.reduce(_EXP[_LOG[codewords] + exponents], axis=1)
+    places, table = _contributions(len(codewords), n_check)
+    return np.bitwise_xor.reduce(table[places, codewords], axis=0)
 
 
 def _reed_solomon(

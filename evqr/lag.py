@@ -12,13 +12,14 @@ lags: sharpening also sharpens noise.
 
 from __future__ import annotations
 
+import math
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from evqr.config import StageOneConfig
-from evqr.region import Region, sharpen
+from evqr.region import Region, Sharpen
 from evqr.stage_one import Align, Alignment, fine_levels
 from evqr.workspace import Step, Workspace
 
@@ -30,6 +31,9 @@ OFF_OVER_ON = 1.6
 
 MOST_STEPS = 1
 """Steps of Gauss-Newton for each pair."""
+
+CORNERS = [(0.0, 0.0), (1.0, 0.0), (0.0, 1.0)]
+"""Lags [px] whose images those for all pairs are mixed from: the image is linear in the lags."""
 
 FACTORS = (0.6, 1.0, 1.6)
 """Factors around the best first pair, for ON and for OFF."""
@@ -57,45 +61,52 @@ def estimate_lag(
     lag_px      ON and OFF [px]
     alignment   of the pose with these lags, one hypothesis
     """
-    direction = velocity / np.hypot(*velocity)
-
-    # the image is linear in the lags: those of all pairs are mixtures of three
-    corners = sharpen(cells, velocity, region, [(0.0, 0.0), (1.0, 0.0), (0.0, 1.0)], workspace=workspace)
-
-    # a step or two settle which pair is best; what they leave of the pose the next alignment takes up
-    def try_pairs(pairs: list[tuple[float, float]], start: list[NDArray[np.float64]]) -> Alignment:
-        step = workspace.once(
-            ("pairs", id(corners), len(pairs), version, cfg),
-            lambda: _Pairs(corners, len(pairs), version, cfg, workspace),
-        )
-        step.write(pairs, np.stack(start))
-        step.run()
-        return step.align.read()
-
+    step = workspace.once(("lag", id(cells), version, cfg), lambda: _Lag(cells, version, cfg, workspace))
+    direction = velocity / math.hypot(*velocity)
     module = region.cell * cfg.cells_a_module
     first = [(lag * module, OFF_OVER_ON * lag * module) for lag in FIRST_LAGS]
     # a lagging edge is seen behind the true one by the mean lag
-    start = []
-    for on, off in first:
-        ahead = np.eye(3)
-        ahead[:2, 2] = direction * 0.5 * (on + off) / region.cell
-        start.append(ahead @ pose)
-    tried = try_pairs(first, start)
-    best = int(tried.score.argmax())
+    start = np.tile(pose, (len(first), 1, 1))
+    for ahead, (on, off) in zip(start, first, strict=True):
+        ahead[:2] += np.outer(direction * 0.5 * (on + off) / region.cell, pose[2])
+    step.corners.write(velocity, region, CORNERS)
+    step.first.write(first, start)
+    step.run()
+    tried = step.first.align.read()
+    best = tried.best
     base_on, base_off = first[best] if best else (0.1 * module, 0.16 * module)
     second = [first[best]] + [
         (base_on * f, base_off * g) for f in FACTORS for g in FACTORS if (f, g) != (1.0, 1.0)
     ]
-    tried = try_pairs(second, [tried.pose[best]] * len(second))
-    best = int(tried.score.argmax())
-    pick = slice(best, best + 1)
-    return second[best], Alignment(
-        tried.pose[pick], tried.gain[pick], tried.score[pick], tried.noise[pick], tried.iterations
-    )
+    step.second.write(second, np.tile(tried.pose[best], (len(second), 1, 1)))
+    step.second.run()
+    tried = step.second.align.read()
+    return second[tried.best], tried.only(tried.best)
+
+
+class _Lag(Step):
+    """The images for the corners, and the pairs that are tried first; then the pairs around the best."""
+
+    def __init__(self, cells: Any, version: int, cfg: StageOneConfig, workspace: Workspace) -> None:
+        super().__init__(workspace.backend)
+        self._cells = cells  # it is known by its id as long as this lives
+        self.corners = Sharpen(cells, len(CORNERS), workspace)
+        self.first, self.second = (
+            _Pairs(self.corners.images, count, version, cfg, workspace)
+            for count in (len(FIRST_LAGS), len(FACTORS) ** 2)
+        )
+
+    def launch(self) -> None:
+        """Launch the kernels one by one."""
+        self.corners.launch()
+        self.first.launch()
 
 
 class _Pairs(Step):
-    """Images for some pairs of lags, mixed from those for (0, 0), (1, 0) and (0, 1) px, and poses on them."""
+    """Images for some pairs of lags, mixed from those for `CORNERS`, and poses on them.
+
+    A step or two settle which pair is best; what they leave of the pose the next alignment takes up.
+    """
 
     def __init__(
         self, corners: Any, count: int, version: int, cfg: StageOneConfig, workspace: Workspace
@@ -108,7 +119,7 @@ class _Pairs(Step):
     def write(self, pairs: list[tuple[float, float]], start: NDArray[np.float64]) -> None:
         """Say which lags [px], and the poses (N, 3, 3) to start from."""
         self._weight.write([(1.0 - on - off, on, off) for on, off in pairs])
-        self.align.write(start, np.arange(len(pairs), dtype=np.int32))
+        self.align.write(start, range(len(pairs)))
 
     def launch(self) -> None:
         """Launch the kernels one by one."""

@@ -92,7 +92,7 @@ class Deposit(Step):
     def write(self, window: Window, velocity: NDArray[np.float64], region: Region) -> None:
         """Say which events, how they move and where the cells are."""
         self._ptr.write((0, len(window)))
-        self._motion.write(velocity)
+        self._motion.write(velocity * 1e-6)  # times on the device are in microseconds
         self._frame.write((region.x + 0.5, region.y + 0.5, region.cell))
 
     def launch(self) -> None:
@@ -144,35 +144,6 @@ def depositing(
     )
     step.write(window, velocity, region)
     return step
-
-
-def deposit(window: Window, velocity: NDArray[np.float64], region: Region, *, workspace: Workspace) -> Any:
-    """Bring a window's events, transported to its middle, onto a region's cells (1, 2, height, width).
-
-    The array is used again by the next deposit on a region of this size.
-    """
-    step = depositing(window, velocity, region, workspace=workspace)
-    step.run()
-    return step.cells
-
-
-def sharpen(
-    cells: Any,
-    velocity: NDArray[np.float64],
-    region: Region,
-    lags_px: list[tuple[float, float]],
-    *,
-    workspace: Workspace,
-) -> Any:
-    """Blur a deposit and undo the pixels' lag, for each pair of lags (ON, OFF) [px]: (N, height, width).
-
-    The array is used again by the next call for this deposit and number of lags.
-    """
-    count = len(lags_px)
-    step = workspace.once(("sharpen", id(cells), count), lambda: Sharpen(cells, count, workspace))
-    step.write(velocity, region, lags_px)
-    step.run()
-    return step.images
 
 
 @functools.cache

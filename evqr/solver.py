@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 
 from evqr.codespace import size_of
 from evqr.config import LookConfig, ReadConfig
-from evqr.initial.finder import find_hypotheses, find_peaks
+from evqr.initial.finder import find_hypotheses
 from evqr.initial.motion import Motion, estimate_motion, find_motion, window_length_us
 from evqr.initial.pose import Candidate, batches, screen
 from evqr.lag import estimate_lag
@@ -242,20 +242,18 @@ class Solver:
         cfg, clock, workspace = self.config, self.clock, self.workspace
         with clock("finder"):
             lag_px = (0.0, 0.0) if lag_us == (0.0, 0.0) else None
-            peaks, pyramid = find_peaks(
+            found = find_hypotheses(
                 window, velocity, cfg.finder, workspace=workspace, look=look, lag_px=lag_px
             )
-            hypotheses = find_hypotheses(peaks, cfg.finder, workspace=workspace, most=look.hypotheses)
+        hypotheses = found.hypotheses
         if not hypotheses:
-            return Unseen(
-                f"no three finder patterns that fit together among {len(peaks.response)} candidates"
-            )
+            return Unseen(f"no three finder patterns that fit together among {len(found.peaks)} candidates")
         best: Sighting | None = None
         closest = 0.0
         iterations = 0
         for batch in batches(hypotheses, cfg.finder.first_hypotheses):
             with clock("pose"):
-                candidates, steps = screen(batch, pyramid, cfg.stage_one, workspace=workspace)
+                candidates, steps = screen(batch, found.pyramid, cfg.stage_one, workspace=workspace)
             candidates = [c for c in candidates if c.score >= look.min_score]
             if not candidates:
                 continue
@@ -265,9 +263,9 @@ class Solver:
             closest = max(closest, closer.score)
             if closer.score < cfg.stage_one.min_score:
                 continue
-            found = self._settle(window, closer, velocity, lag_us, iterations)
-            if best is None or found.score > best.score:
-                best = found
+            sighting = self._settle(window, closer, velocity, lag_us, iterations)
+            if best is None or sighting.score > best.score:
+                best = sighting
             if best.score >= self.config.stage_one.good_score:
                 break
         return best or Unseen(

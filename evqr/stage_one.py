@@ -16,7 +16,7 @@ from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 
 from evqr.config import StageOneConfig
 from evqr.model import MOMENTS, pose_table
@@ -76,6 +76,19 @@ class Alignment:
     noise: NDArray[np.float64]
     iterations: int
 
+    @property
+    def best(self) -> int:
+        """The hypothesis with the highest score."""
+        scores = self.score.tolist()
+        return scores.index(max(scores))
+
+    def only(self, which: int) -> Alignment:
+        """Give one hypothesis alone."""
+        pick = slice(which, which + 1)
+        return Alignment(
+            self.pose[pick], self.gain[pick], self.score[pick], self.noise[pick], self.iterations
+        )
+
 
 @functools.cache
 def _terms(tilt: bool) -> tuple[NDArray[np.int32], NDArray[np.int32]]:
@@ -118,7 +131,7 @@ class Align(Step):
         """Gains (N, 2) on the device."""
         return self._results[-1].device[:, :2]
 
-    def write(self, pose: NDArray[np.float64], image_idx: NDArray[np.int32] | int) -> None:
+    def write(self, pose: NDArray[np.float64], image_idx: ArrayLike) -> None:
         """Say where to start (N, 3, 3) and on which images."""
         self._pose.write(pose.reshape(-1, 9))
         self._image_idx.write(image_idx)
@@ -213,9 +226,9 @@ def escape_side_minimum(
         return found
     levels = fine_levels(cfg)
     around = shifted(found.pose[0])
-    score = align(image, around, version, levels[-1:], cfg, workspace=workspace, max_iterations=0).score
-    best = int(score.argmax())
-    if score[best] <= found.score[0] + cfg.shift_gain:
+    scored = align(image, around, version, levels[-1:], cfg, workspace=workspace, max_iterations=0)
+    best = scored.best
+    if scored.score[best] <= found.score[0] + cfg.shift_gain:
         return found
     again = align(image, around[best : best + 1], version, levels, cfg, workspace=workspace)
     return replace(again, iterations=found.iterations + again.iterations)

@@ -23,7 +23,7 @@ from numpy.typing import NDArray
 from evqr.codespace import code_space, size_of
 from evqr.config import StageTwoConfig
 from evqr.model import QUIET_MODULES, lattice, profiles
-from evqr.workspace import Mirror, Step, Workspace
+from evqr.workspace import Step, Workspace
 
 REACH = 2
 """Modules on either side that a module meets in the normal matrix."""
@@ -125,37 +125,6 @@ class Equations(Step):
         return NormalEquations(self._version, stencil, self._rhs.read()[0].astype(np.float64))
 
 
-def normal_equations(
-    image: Any,
-    pose: NDArray[np.float64],
-    gain: NDArray[np.float64],
-    version: int,
-    sigma: float,
-    cfg: StageTwoConfig,
-    *,
-    workspace: Workspace,
-) -> NormalEquations:
-    """Build a window's normal equations.
-
-    Parameters
-    ----------
-    image : (1, Y, X)   event image on the device
-    pose : (3, 3)       code coordinates to cells
-    gain : (2,)         of stage one
-    sigma               blur of the model [modules]
-    """
-
-    def make() -> tuple[Mirror, Mirror, Equations]:
-        at, gains = workspace.mirror((1, 9)), workspace.mirror((1, 2))
-        return at, gains, Equations(image, at.device, gains.device, version, sigma, cfg, workspace)
-
-    at, gains, step = workspace.once(("equations", id(image), version, sigma, cfg), make)
-    at.write(pose.reshape(1, 9))
-    gains.write(gain)
-    step.run()
-    return step.read(gain)
-
-
 @functools.cache
 def _fixed(version: int) -> tuple[NDArray[np.int32], NDArray[np.float32]]:
     """Which modules are free, and q - 1 to start from: known values, and the middle where free."""
@@ -169,6 +138,70 @@ def _fixed(version: int) -> tuple[NDArray[np.int32], NDArray[np.float32]]:
     return free, start
 
 
+class Solution(Step):
+    """One pass: the modules, and the right-hand side that pulls the next pass to them."""
+
+    def __init__(self, version: int, cfg: StageTwoConfig, workspace: Workspace) -> None:
+        super().__init__(workspace.backend)
+        free, self._start = _fixed(version)
+        modules, reach = len(free), 2 * REACH + 1
+        self._cfg, self._free = cfg, workspace.put(free)
+        self._seen, self._q = (workspace.mirror((1, modules, modules)) for _ in range(2))
+        self._stencil, self._damping = workspace.mirror((1, reach, reach)), workspace.mirror((1,))
+        field = [workspace.empty(1, modules, modules) for _ in range(4)]
+        self._scratch = (*field, *(workspace.empty(1, 4, modules) for _ in range(2)))
+        self._rhs = workspace.empty(1, modules, modules)
+        self._iterations = workspace.mirror((1,), np.int32)
+        self._unclear = workspace.mirror((1, modules), np.int32)
+        self.run_first = workspace.backend.record(self._launch_first)
+
+    def write(self, equations: NormalEquations) -> None:
+        """Say what was seen."""
+        cfg = self._cfg
+        # one overall scale: float32 on the device, and many windows add up
+        peak = float(equations.stencil[REACH, REACH]) or 1.0
+        np.multiply(equations.rhs, 1.0 / peak, out=self._seen.host[0], casting="unsafe")
+        self._seen.push()
+        self._stencil.write(equations.stencil / peak)
+        least, most = cfg.damping_range
+        self._damping.write(min(max(cfg.damping / peak, least), most))
+        self._q.write(self._start)
+
+    def _launch_first(self) -> None:
+        self._pull()
+        self.launch()
+
+    def launch(self) -> None:
+        """Launch the kernels one by one."""
+        cfg = self._cfg
+        self._backend.solve_code(
+            self._rhs, self._stencil.device, self._damping.device, self._free, self._q.device, self._scratch,
+            self._iterations.device, max_iterations=cfg.max_iterations, tolerance=cfg.tolerance,
+        )  # fmt: skip
+        self._pull()
+
+    def _pull(self) -> None:
+        self._backend.pull_modules(
+            self._seen.device, self._q.device, self._damping.device, self._cfg.certainty, self._rhs,
+            self._unclear.device,
+        )  # fmt: skip
+
+    @property
+    def iterations(self) -> int:
+        """Conjugate gradients of the last pass."""
+        return int(self._iterations.read()[0])
+
+    @property
+    def unclear(self) -> int:
+        """Modules that the last pass left unclear."""
+        return sum(self._unclear.read()[0].tolist())
+
+    def read(self) -> NDArray[np.float32]:
+        """Wait for the device and give the modules (r, r)."""
+        inner = slice(QUIET_MODULES, -QUIET_MODULES)
+        return self._q.read()[0, inner, inner] + np.float32(1.0)
+
+
 def solve_modules(equations: NormalEquations, cfg: StageTwoConfig, *, workspace: Workspace) -> CodeEstimate:
     """Solve for the unknown modules, with function patterns and quiet zone fixed.
 
@@ -177,43 +210,13 @@ def solve_modules(equations: NormalEquations, cfg: StageTwoConfig, *, workspace:
     equations   weighted by one over the variance of the noise
     """
     version = equations.version
-
-    def make() -> tuple[Any, ...]:
-        free, start = _fixed(version)
-        modules = len(free)
-        rhs, q = (workspace.mirror((1, modules, modules)) for _ in range(2))
-        stencil, damping = workspace.mirror((1, *equations.stencil.shape)), workspace.mirror((1,))
-        fixed = workspace.put(free)
-        field = [workspace.empty(1, modules, modules) for _ in range(4)]
-        rows = [workspace.empty(1, 4, modules) for _ in range(2)]
-        iterations = workspace.mirror((1,), np.int32)
-        run = workspace.backend.record(
-            lambda: workspace.backend.solve_code(
-                rhs.device, stencil.device, damping.device, fixed, q.device, (*field, *rows),
-                iterations.device, max_iterations=cfg.max_iterations, tolerance=cfg.tolerance,
-            )
-        )  # fmt: skip
-        return start, rhs, stencil, damping, q, iterations, run
-
-    start, rhs, stencil, damping, q, iterations, run = workspace.once(("code", version, cfg), make)
-    # one overall scale: float32 on the device, and many windows add up
-    peak = float(equations.stencil[REACH, REACH]) or 1.0
-    least, most = cfg.damping_range
-    pull = min(max(cfg.damping / peak, least), most)
-    stencil.write(equations.stencil / peak)
-    damping.write(pull)
-    seen = equations.rhs / peak
-    q.write(start)
-    found = expected = np.zeros_like(start)
-    steps, most_unclear = 0, cfg.unclear * size_of(version) ** 2
-    inner = slice(QUIET_MODULES, -QUIET_MODULES)
-    for _ in range(cfg.passes):
-        # the pull is of q to what is expected, not of q - 1: that moves the right-hand side
-        rhs.write(seen + pull * (1.0 - expected))
-        run()
-        steps += int(iterations.read()[0])
-        found = q.read()[0] + np.float32(1.0)
-        expected = np.clip(cfg.certainty * found, -1.0, 1.0)
-        if np.count_nonzero(np.abs(expected[inner, inner]) < 1.0) <= most_unclear:
+    step = workspace.once(("code", version, cfg), lambda: Solution(version, cfg, workspace))
+    step.write(equations)
+    step.run_first()
+    iterations, most_unclear = step.iterations, cfg.unclear * size_of(version) ** 2
+    for _ in range(cfg.passes - 1):
+        if step.unclear <= most_unclear:
             break
-    return CodeEstimate(found[inner, inner], steps)
+        step.run()
+        iterations += step.iterations
+    return CodeEstimate(step.read(), iterations)

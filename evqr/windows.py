@@ -52,9 +52,9 @@ class Window:
         return (self.end_us - self.start_us) * 1e-6
 
     @property
-    def middle_us(self) -> float:
-        """Reference time of the window: its middle [us]."""
-        return 0.5 * (self.start_us + self.end_us)
+    def middle_us(self) -> int:
+        """Reference time of the window: its middle, to the microsecond [us]."""
+        return (self.start_us + self.end_us) // 2
 
     def begins_like(self, other: Window) -> bool:
         """Whether the shorter of the two is the beginning of the other, so that it has the same events."""
@@ -75,9 +75,9 @@ class Window:
     @cached_property
     def t(self) -> NDArray[np.float32]:
         """Times (E,), ascending [s]."""
-        seconds = np.empty(len(self), np.float32)
-        self.write_times(seconds)
-        return seconds
+        times = np.empty(len(self), np.float32)
+        self.write_times(times)
+        return times * np.float32(1e-6)
 
     @cached_property
     def p(self) -> NDArray[np.float32]:
@@ -85,11 +85,8 @@ class Window:
         return self.events.p.astype(np.float32)
 
     def write_times(self, out: NDArray[np.float32]) -> None:
-        """Write `t` to an array of the caller's."""
-        # start first: stamps may be as large as int64 allows
-        np.subtract(self.events.t, self.start_us, out=out, casting="unsafe")
-        out -= np.float32(0.5 * (self.end_us - self.start_us))
-        out *= np.float32(1e-6)
+        """Write the times, in microseconds, to an array of the caller's."""
+        np.subtract(self.events.t, self.middle_us, out=out, casting="unsafe")
 
     def keep(self, mask: NDArray[np.bool_]) -> Window:
         """Give the window with only the events where ``mask``."""
@@ -155,7 +152,7 @@ class EventBuffer:
             held = list(self._held)
         chunks = [chunk for chunk in held if chunk.t[-1] >= start_us and chunk.t[0] < end_us]
         if len(chunks) == 1:
-            first, last = (int(chunks[0].t.searchsorted(time)) for time in (start_us, end_us))
+            first, last = chunks[0].first_at(start_us), chunks[0].first_at(end_us)
             return Window(chunks[0].cut(first, last), start_us, end_us, origin=(chunks[0], first))
         parts = [chunk.between(start_us, end_us) for chunk in chunks] or [held[-1].cut(0, 0)]
         joined = EventArray(

@@ -98,7 +98,7 @@ class EventSlots:
             mirror.push()
 
     def load_times(self, window: Window) -> None:
-        """Put the times of a window there, which are relative to its middle."""
+        """Put the times of a window there, relative to its middle [us]."""
         if window is not self._timed:
             window.write_times(self._mirrors[-1].host[: len(window)])
             self._mirrors[-1].push()

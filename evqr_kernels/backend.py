@@ -255,6 +255,12 @@ class KernelBackend(Protocol):
         """Banded Cholesky over free modules; ``band_out`` is (B, M^2, (K // 2) (M + 1) + 1)."""
         ...
 
+    def pull_modules(
+        self, seen: Array, q: Array, damping: Array, certainty: float, rhs_out: Array, unclear_out: Array
+    ) -> None:
+        """Right-hand side whose damping pulls to dark or light; ``unclear_out`` is (B, M) int32."""
+        ...
+
     def solve_code(
         self, rhs: Array, stencil: Array, damping: Array, free: Array, q_inout: Array,
         scratch: tuple[Array, ...], iterations_out: Array, *, max_iterations: int, tolerance: float,
@@ -313,6 +319,7 @@ OPS = (
     "code_rhs",
     "code_normal_equations",
     "code_product",
+    "pull_modules",
     "solve_code",
     "solve_code_banded",
     "render_code",

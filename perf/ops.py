@@ -369,6 +369,14 @@ def code_product(size: Size, rng, dtype) -> Problem:
     return Problem("code_product", [q, *system], [np.zeros_like(q)], q.size, madds, "module")
 
 
+def pull_modules(size: Size, rng, dtype) -> Problem:
+    (seen, _, damping, _), q = _system(size, rng, dtype)
+    unclear = np.zeros(q.shape[:2], np.int32)
+    return Problem(
+        "pull_modules", [seen, q, damping, 4.0], [np.zeros_like(q), unclear], q.size, 2 * q.size, "module"
+    )
+
+
 def solve_code(size: Size, rng, dtype, iterations: int = 20) -> Problem:
     system, start = _system(size, rng, dtype)
     rows = np.zeros((size.batch, 4, size.modules), dtype)
@@ -534,6 +542,7 @@ PROBLEMS: dict[str, Callable[..., Problem]] = {
         code_rhs,
         code_normal_equations,
         code_product,
+        pull_modules,
         solve_code,
         solve_code_banded,
     )

@@ -18,7 +18,7 @@ import numpy as np
 
 from evqr.baselines import descent, integrate
 from evqr.decode import Decoded, decode_grid
-from evqr.initial.finder import find_hypotheses, find_peaks
+from evqr.initial.finder import find_hypotheses
 from evqr.region import outline
 from evqr.solver import Sighting, Solver, StageClock, Unseen
 from evqr.stage_two import solve_modules
@@ -93,13 +93,9 @@ def _search(
     window: Window, velocity: np.ndarray, seen: Sighting, solver: Solver
 ) -> tuple[np.ndarray, np.ndarray, int] | None:
     """Return what the search finds of a code whose place is known: the pose before any refinement."""
-    peaks, _ = find_peaks(window, velocity, solver.config.finder, workspace=solver.workspace)
+    found = find_hypotheses(window, velocity, solver.config.finder, workspace=solver.workspace)
     true = outline(seen.pose_at(window.middle_us), seen.size)
-    poses = [
-        h.pose
-        for h in find_hypotheses(peaks, solver.config.finder, workspace=solver.workspace)
-        if h.version == seen.version
-    ]
+    poses = [h.pose for h in found.hypotheses if h.version == seen.version]
     if not poses:
         return None
     return velocity, min(poses, key=lambda pose: np.abs(outline(pose, seen.size) - true).max()), seen.version

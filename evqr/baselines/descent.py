@@ -36,7 +36,7 @@ from numpy.typing import DTypeLike, NDArray
 from evqr.baselines.method import Outcome, Watch, unwatched
 from evqr.codespace import code_space, size_of
 from evqr.decode import Decoded, decode_grid
-from evqr.initial.finder import find_hypotheses, find_peaks
+from evqr.initial.finder import find_hypotheses
 from evqr.initial.pose import screen
 from evqr.model import QUIET_MODULES
 from evqr.region import Region, module_px, outline
@@ -139,13 +139,11 @@ class Descent:
         if motion is None:
             return None
         finder, workspace = solver.config.finder, solver.workspace
-        peaks, pyramid = find_peaks(window, motion.velocity, finder, workspace=workspace)
-        guesses = [
-            h for h in find_hypotheses(peaks, finder, workspace=workspace) if h.version == self.version
-        ]
+        found = find_hypotheses(window, motion.velocity, finder, workspace=workspace)
+        guesses = [h for h in found.hypotheses if h.version == self.version]
         if not guesses:
             return None
-        candidates, _ = screen(guesses, pyramid, solver.config.stage_one, workspace=workspace)
+        candidates, _ = screen(guesses, found.pyramid, solver.config.stage_one, workspace=workspace)
         # which triple is the code is known from its refined pose; the descent starts from the pose as found
         size = size_of(self.version)
         refined = outline(candidates[0].pose, size)

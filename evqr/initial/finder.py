@@ -12,7 +12,7 @@ import functools
 import math
 from dataclasses import dataclass
 from functools import cached_property
-from typing import Any
+from typing import Any, TypeAlias
 
 import numpy as np
 from numpy.typing import NDArray
@@ -22,7 +22,7 @@ from evqr.config import FinderConfig, LookConfig
 from evqr.model import profiles
 from evqr.region import Deposit, Region, Sharpen
 from evqr.windows import Window
-from evqr.workspace import EventSlots, Workspace
+from evqr.workspace import EventSlots, Mirror, Step, Workspace
 
 ANGLES = 8
 """Templates, over a right angle: a finder pattern looks alike turned by one."""
@@ -42,23 +42,42 @@ MOST_A_ROW = 8
 MOST_OF_A_CORNER = 8
 """Triples kept that have one corner."""
 
+_Affine: TypeAlias = list[tuple[float, float, float]]
+
 
 @dataclass(frozen=True, eq=False)
 class Peaks:
-    """Places that look like a finder pattern, best first.
+    """Places that look like a finder pattern.
 
     Attributes
     ----------
-    response : (N,)    normalised, -1 to 1; negative where the code is inverted (or the motion backwards)
-    position : (N, 2)  [px]
-    module_px : (N,)   size of a module [px]
-    angle : (N,)       of the pattern's axes, 0 to pi / 2 [rad]
+    table : (N, 5) float32   a row each, best first: response, x, y, size of a module, angle
     """
 
-    response: NDArray[np.float64]
-    position: NDArray[np.float64]
-    module_px: NDArray[np.float64]
-    angle: NDArray[np.float64]
+    table: NDArray[np.float32]
+
+    def __len__(self) -> int:
+        return len(self.table)
+
+    @property
+    def response(self) -> NDArray[np.float32]:
+        """Normalised (N,), -1 to 1; negative where the code is inverted (or the motion backwards)."""
+        return self.table[:, 0]
+
+    @property
+    def position(self) -> NDArray[np.float32]:
+        """Centres (N, 2) [px]."""
+        return self.table[:, 1:3]
+
+    @property
+    def module_px(self) -> NDArray[np.float32]:
+        """Size of a module (N,) [px]."""
+        return self.table[:, 3]
+
+    @property
+    def angle(self) -> NDArray[np.float32]:
+        """Of the pattern's axes (N,), 0 to pi / 2 [rad]."""
+        return self.table[:, 4]
 
 
 @dataclass(frozen=True, eq=False)
@@ -172,6 +191,7 @@ class _Search:
         side = 2 * half + 1
         self._basis, self._mix = workspace.mirror((side, side, TERMS)), workspace.mirror((ANGLES, TERMS))
         self._peaks = workspace.mirror((1, look.peaks, 5))
+        self._match = Match(self._peaks, cfg, workspace)
         spans = workspace.put(_spans(cfg))
         self.pyramid: list[PyramidLevel] = []
         padded: list[Any] = []
@@ -186,7 +206,8 @@ class _Search:
             backend.clear(padded[-1])
             self.pyramid.append(PyramidLevel(cell, padded[-1][:, half : half + rows, half : half + columns]))
             modules.append(module_px)
-        self._cfg, self._run = cfg, None
+        self._cfg, self._most, self._run = cfg, look.hypotheses, None
+        self._degrees: int | None = None
         if not self.pyramid:
             return
         shapes = [level.image.shape[1:] for level in self.pyramid]
@@ -236,30 +257,96 @@ class _Search:
                 maxima.reshape((1, slots * MOST_A_ROW, 5)), 2.0, 1.5 * math.log(cfg.scale_ratio), strength,
                 index, self._peaks.device,
             )  # fmt: skip
+            self._match.launch()
 
         self._run = backend.record(launch)
 
     def __call__(
         self, window: Window, velocity: NDArray[np.float64], lag_px: tuple[float, float] | None
-    ) -> NDArray[np.float32]:
-        """Give the peaks, (N, 5), best first."""
+    ) -> Found:
+        """Find what is in a window."""
         if self._run is None:
-            return np.empty((0, 5), np.float32)
+            return Found([], Peaks(np.empty((0, 5), np.float32)), [])
         degrees = round(math.degrees(math.atan2(velocity[1], velocity[0])))  # as good as it is known
-        basis, mix = _bank(degrees, self._cfg)
+        if degrees != self._degrees:
+            basis, mix = _bank(degrees, self._cfg)
+            self._basis.write(basis)
+            self._mix.write(mix)
+            self._degrees = degrees
         if lag_px is None:
             on, off = self._cfg.lag_cells
             lag_px = on * self._region.cell, off * self._region.cell
         self._deposit.write(window, velocity, self._region)
         self._sharpen.write(velocity, self._region, [lag_px])
-        self._basis.write(basis)
-        self._mix.write(mix)
         self._run()
+        hypotheses = self._match.read(self._most)
+        peaks = self._peaks.host[0]
+        return Found(hypotheses, Peaks(peaks[: np.count_nonzero(peaks[:, 0])].copy()), self.pyramid)
+
+
+class Match(Step):
+    """Triples of peaks (1, N, 5) that make the corners of a code.
+
+    Corner i sees its neighbours j (along u) and k (along v) at a right angle, with equal legs of 10 + 4
+    version modules.
+    """
+
+    def __init__(self, peaks: Mirror, cfg: FinderConfig, workspace: Workspace) -> None:
+        super().__init__(workspace.backend)
+        room = peaks.host.shape[1]
+        log_legs = np.log((10.0 + 4.0 * MIN_VERSION, 10.0 + 4.0 * MAX_VERSION))
+        tolerances = (cfg.leg_tolerance, cfg.scale_tolerance, cfg.angle_tolerance, *log_legs)
+        self._peaks, self._scale_tolerance = peaks, cfg.scale_tolerance
+        self._tolerances = workspace.put(np.array(tolerances, np.float32))
+        self._ends = workspace.empty(1, room, room, dtype=np.int32)
+        self._legs = workspace.empty(1, room, room, 3)
+        self._triples = workspace.mirror((1, room, MOST_OF_A_CORNER, 4))
+
+    def launch(self) -> None:
+        """Launch the kernels one by one."""
+        self._backend.match_corners(
+            self._peaks.device, self._tolerances, self._ends, self._legs, self._triples.device
+        )
+
+    def read(self, most: int) -> list[Hypothesis]:
+        """Wait for the device and give so many hypotheses, or a few more, best first."""
         peaks = self._peaks.read()[0]
-        return peaks[: np.count_nonzero(peaks[:, 0])].copy()
+        triples = self._triples.read().reshape(-1, 4)
+        places = peaks[:, 1:3].tolist()
+        found: list[tuple[int, float, bool, int]] = []
+        poses: list[_Affine] = []
+        for triple, index in enumerate(np.argsort(-triples[:, 0], kind="stable").tolist()):
+            response, j, k, log_modules = triples[index].tolist()
+            if not response or len(found) >= most:
+                break
+            i = index // MOST_OF_A_CORNER
+            inverted = bool(peaks[i, 0] < 0.0)
+            for version in _versions(log_modules, self._scale_tolerance):
+                found.append((version, response, inverted, triple))
+                poses.append(_pose(places[i], places[int(j)], places[int(k)], version))
+        return [
+            Hypothesis(version, pose, response, inverted, triple)
+            for pose, (version, response, inverted, triple) in zip(np.array(poses), found, strict=True)
+        ]
 
 
-def find_peaks(
+@dataclass(frozen=True, eq=False)
+class Found:
+    """What a search found.
+
+    Attributes
+    ----------
+    hypotheses   codes that might be there, best first
+    peaks        that they were made of, and others
+    pyramid      the images that were searched, finest first
+    """
+
+    hypotheses: list[Hypothesis]
+    peaks: Peaks
+    pyramid: list[PyramidLevel]
+
+
+def find_hypotheses(
     window: Window,
     velocity: NDArray[np.float64],
     cfg: FinderConfig,
@@ -267,19 +354,14 @@ def find_peaks(
     workspace: Workspace,
     look: LookConfig | None = None,
     lag_px: tuple[float, float] | None = None,
-) -> tuple[Peaks, list[PyramidLevel]]:
-    """Find what looks like a finder pattern in a window.
+) -> Found:
+    """Find finder patterns in a window, and the codes that three of them could belong to.
 
     Parameters
     ----------
     velocity : (2,) [px/s]
     look            default the configured last, most thorough
     lag_px          lag of the pixels for ON and OFF events along the motion [px]; default as configured
-
-    Returns
-    -------
-    peaks     best first
-    pyramid   the images that were searched, finest first
     """
     look = look or cfg.looks[-1]
     events = workspace.events(window)
@@ -287,61 +369,7 @@ def find_peaks(
         ("search", events.capacity, window.height, window.width, cfg, look),
         lambda: _Search(events, window.height, window.width, cfg, look, workspace),
     )
-    table = search(window, velocity, lag_px).astype(np.float64)
-    return Peaks(table[:, 0], table[:, 1:3], table[:, 3], table[:, 4]), search.pyramid
-
-
-def find_hypotheses(
-    peaks: Peaks, cfg: FinderConfig, *, workspace: Workspace, most: int | None = None
-) -> list[Hypothesis]:
-    """Triples of peaks that make the corners of a code, best first.
-
-    Corner i sees its neighbours j (along u) and k (along v) at a right angle, with equal legs of 10 + 4
-    version modules.
-
-    Parameters
-    ----------
-    most   hypotheses wanted, default that of the configured last look
-    """
-    count = len(peaks.response)
-    if count < 3:
-        return []
-    room = _four(count)
-
-    def make() -> tuple[Any, ...]:
-        table, triples = workspace.mirror((1, room, 5)), workspace.mirror((1, room, MOST_OF_A_CORNER, 4))
-        log_legs = np.log((10.0 + 4.0 * MIN_VERSION, 10.0 + 4.0 * MAX_VERSION))
-        tolerances = (cfg.leg_tolerance, cfg.scale_tolerance, cfg.angle_tolerance, *log_legs)
-        tolerances = workspace.put(np.array(tolerances, np.float32))
-        scratch = workspace.empty(1, room, room, dtype=np.int32), workspace.empty(1, room, room, 3)
-        run = workspace.backend.record(
-            lambda: workspace.backend.match_corners(table.device, tolerances, *scratch, triples.device)
-        )
-        return table, triples, run
-
-    table, triples, run = workspace.once(("corners", room, cfg), make)
-    table.host[0, count:] = 0.0
-    table.host[0, :count, 0] = peaks.response
-    table.host[0, :count, 1:3] = peaks.position
-    table.host[0, :count, 3] = peaks.module_px
-    table.host[0, :count, 4] = peaks.angle
-    table.push()
-    run()
-    found = triples.read().reshape(-1, 4)
-    best = np.flatnonzero(found[:, 0])
-    best = best[np.argsort(-found[best, 0], kind="stable")]
-    wanted = cfg.looks[-1].hypotheses if most is None else most
-    hypotheses: list[Hypothesis] = []
-    rows = zip((best // MOST_OF_A_CORNER).tolist(), found[best].tolist(), strict=True)
-    places = peaks.position.tolist()
-    for triple, (i, (response, j, k, log_modules)) in enumerate(rows):
-        inverted = bool(peaks.response[i] < 0.0)
-        for version in _versions(log_modules, cfg.scale_tolerance):
-            pose = _pose(places[i], places[int(j)], places[int(k)], version)
-            hypotheses.append(Hypothesis(version, pose, response, inverted, triple))
-        if len(hypotheses) >= wanted:
-            break
-    return hypotheses
+    return search(window, velocity, lag_px)
 
 
 def _versions(log_modules: float, tolerance: float) -> list[int]:
@@ -351,11 +379,11 @@ def _versions(log_modules: float, tolerance: float) -> list[int]:
     return sorted(fits, key=lambda version: abs(math.log(10.0 + 4.0 * version) - log_modules))
 
 
-def _pose(corner: list[float], along: list[float], down: list[float], version: int) -> NDArray[np.float64]:
+def _pose(corner: list[float], along: list[float], down: list[float], version: int) -> _Affine:
     """Affine pose from the centres (x, y) of the finder patterns: top left, top right and bottom left."""
     legs = 10 + 4 * version  # modules between two centres
-    rows = []
+    rows: _Affine = []
     for at, u, v in zip(corner, along, down, strict=True):
         per_u, per_v = (u - at) / legs, (v - at) / legs
         rows.append((per_u, per_v, at - 3.5 * (per_u + per_v)))
-    return np.array([*rows, (0.0, 0.0, 1.0)])
+    return [*rows, (0.0, 0.0, 1.0)]

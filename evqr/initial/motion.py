@@ -101,7 +101,7 @@ def estimate_motion(
     -------
     Motion      or None where a half has too few events or nothing correlates
     """
-    middle = int(np.searchsorted(window.events.t, math.ceil(window.middle_us)))
+    middle = window.events.first_at(window.middle_us)
     if min(middle, len(window) - middle) < FEWEST_EVENTS // 2:
         return None
     radius = (reach or cfg.reach_px) + max(2, round(cfg.blur_px / reduction))

@@ -6,6 +6,7 @@ of one version in one batch.
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 
 import numpy as np
@@ -56,12 +57,7 @@ def screen(
     """
     if not hypotheses:
         return [], 0
-    cells = np.array([level.cell for level in pyramid])
-    poses = np.stack([guess.pose for guess in hypotheses])
-    # affine, so a module is as large everywhere
-    modules = np.sqrt(np.abs(poses[:, 0, 0] * poses[:, 1, 1] - poses[:, 0, 1] * poses[:, 1, 0]))
-    wanted = np.log(modules / cfg.cells_a_module)
-    levels = np.abs(np.log(cells) - wanted[:, None]).argmin(axis=1).tolist()
+    levels = [_level_for(guess.pose, pyramid, cfg) for guess in hypotheses]
     candidates: list[Candidate] = []
     iterations = 0
     # a version and its neighbours agree with a large code nearly alike, so all of a triple are tried
@@ -73,7 +69,7 @@ def screen(
             groups.setdefault((hypotheses[k].version, levels[k]), []).append(k)
         for (version, level), members in groups.items():
             entry = pyramid[level]
-            start = entry.from_px @ poses[members]
+            start = entry.from_px @ np.array([hypotheses[k].pose for k in members])
             found = align(entry.image, start, version, coarse_levels(cfg), cfg, workspace=workspace)
             iterations += found.iterations
             refined = entry.to_px @ found.pose
@@ -86,3 +82,11 @@ def screen(
             break
     candidates.sort(key=lambda candidate: -candidate.score)
     return candidates, iterations
+
+
+def _level_for(pose: NDArray[np.float64], pyramid: list[PyramidLevel], cfg: StageOneConfig) -> int:
+    """Give the level whose cells are nearest to the wanted part of a module."""
+    # affine, so a module is as large everywhere
+    (a, b, _), (d, e, _), _ = pose.tolist()
+    wanted = math.sqrt(abs(a * e - b * d)) / cfg.cells_a_module
+    return min(range(len(pyramid)), key=lambda k: abs(math.log(pyramid[k].cell / wanted)))

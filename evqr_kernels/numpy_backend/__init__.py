@@ -24,6 +24,7 @@ from evqr_kernels.numpy_backend import (
     peaks,
     pose,
     pose_normal,
+    pull,
     render,
     residual,
     solve,
@@ -60,6 +61,7 @@ class NumpyBackend:
     code_rhs = staticmethod(code.code_rhs)
     code_normal_equations = staticmethod(code_normal.code_normal_equations)
     code_product = staticmethod(code_normal.code_product)
+    pull_modules = staticmethod(pull.pull_modules)
     solve_code = staticmethod(solve.solve_code)
     solve_code_banded = staticmethod(banded.solve_code_banded)
     render_code = staticmethod(render.render_code)

@@ -17,7 +17,14 @@ Who owns device buffers calls the methods of the backend, which have the same na
 Shape letters: B windows, E events, Y and X image rows and columns.
 """
 
-from evqr_kernels.ops.codes import align_poses, code_rhs, sample_moments, sample_moments_adjoint, solve_code
+from evqr_kernels.ops.codes import (
+    align_poses,
+    code_rhs,
+    pull_modules,
+    sample_moments,
+    sample_moments_adjoint,
+    solve_code,
+)
 from evqr_kernels.ops.events import (
     bin_events,
     deposit_events,
@@ -71,6 +78,7 @@ __all__ = [
     "mix_images",
     "motion_correlation",
     "pose_normal_equations",
+    "pull_modules",
     "reduce_image",
     "render_code",
     "render_code_adjoint",

@@ -152,6 +152,46 @@ def code_rhs(
 
 
 @any_arrays
+def pull_modules(
+    seen: Floats, q: Floats, damping: Floats, *, certainty: float, backend: str = "auto",
+    device: str | None = None,
+) -> tuple[Floats, Ints]:  # fmt: skip
+    """Make the right-hand side whose damping pulls each module to the dark or light that it leans to.
+
+    Parameters
+    ----------
+    seen : (B, M, M)   A^T E
+    q : (B, M, M)      distance from light that an earlier solution found: -2 dark, 0 light
+    damping : (B,)     of the next solution
+    certainty          factor by which the pull goes beyond what was found, up to dark or light; >= 0
+
+    Returns
+    -------
+    (B, M, M), (B, M) int32   ``seen + damping (1 - clip(certainty (q + 1), -1, 1))``, and how many modules of
+                              each row did not get to dark or light
+
+    Notes
+    -----
+    One thread a row: results repeat bit for bit.
+
+    See Also
+    --------
+    solve_code
+    """
+    checks = ArrayChecks()
+    checks.floats("seen", seen, "B", "M", "M")
+    checks.floats("q", q, "B", "M", "M")
+    checks.floats("damping", damping, "B")
+    checks.at_least("certainty", certainty, 0.0)
+    launch = Launch("pull_modules", checks, backend, device)
+    batch, modules, _ = q.shape
+    results = launch.result(None, *q.shape), launch.result(None, batch, modules, dtype=np.int32)
+    launch.run(*launch.put(seen, q, damping), certainty, *results)
+    rhs, unclear = launch.results()
+    return rhs, unclear
+
+
+@any_arrays
 def solve_code(
     rhs: Floats, stencil: Floats, damping: Floats, free: Ints, start: Floats, *, max_iterations: int = 60,
     tolerance: float = 1e-3, backend: str = "auto", device: str | None = None,

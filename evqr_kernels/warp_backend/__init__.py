@@ -27,6 +27,7 @@ from evqr_kernels.warp_backend import (
     peaks,
     pose,
     pose_normal,
+    pull,
     render,
     render_adjoint,
     replay,
@@ -70,6 +71,7 @@ class WarpBackend:
     code_rhs = staticmethod(code.code_rhs)
     code_normal_equations = staticmethod(code_normal.code_normal_equations)
     code_product = staticmethod(code_normal.code_product)
+    pull_modules = staticmethod(pull.pull_modules)
     solve_code = staticmethod(solve.solve_code)
     solve_code_banded = staticmethod(banded.solve_code_banded)
     render_code = staticmethod(render.render_code)
@@ -181,6 +183,7 @@ def _modules(kernels: KernelSet, device: str) -> list[wp.Module]:
         align.make_align_poses(f32, kernels.table_columns, unrolled=device == "cpu"),
         code.make_sample_rows(f32),
         code.make_fold_columns(f32, code.BLOCK),
+        pull.make_pull_modules(f32),
         *solve.make_kernels(f32, on_cpu=device == "cpu"),
         *([replay.run_sequence] if device == "cpu" else []),
     ]

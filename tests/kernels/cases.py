@@ -267,6 +267,12 @@ def code_product(rng, dtype):
     return Call("code_product", [start, stencil, damping, free], [filled(rhs.shape, dtype)])
 
 
+def pull_modules(rng, dtype):
+    seen, q = rng.normal(size=(2, B, 9, 9)).astype(dtype)
+    inputs = [seen, q - dtype(1.0), np.linspace(0.1, 0.5, B).astype(dtype), 2.0]
+    return Call("pull_modules", inputs, [filled(q.shape, dtype), np.full((B, 9), -9, np.int32)])
+
+
 def solve_code_banded(rng, dtype, modules=9):
     rhs, stencil, damping, free, start = system(rng, dtype, modules)
     band = filled((B, modules**2, 2 * (modules + 1) + 1), dtype)
@@ -367,6 +373,7 @@ CALLS = [
     code_rhs,
     code_normal_equations,
     code_product,
+    pull_modules,
     render_code,
     render_code_smooth,
     render_code_tilted,

@@ -65,6 +65,7 @@ GOOD = {
         {"samples_a_module": 2},
     ),
     "code_product": ([f32(B, 7, 7) + 1, f32(B, 5, 5), f32(B) + 1, np.ones((7, 7), np.int32)], {}),
+    "pull_modules": ([f32(B, 7, 7), f32(B, 7, 7), f32(B) + 1], {"certainty": 2.0}),
     "solve_code_banded": (
         [f32(B, 7, 7) + 1, f32(B, 5, 5), f32(B) + 1, np.ones((7, 7), np.int32), f32(B, 7, 7)],
         {},
@@ -124,6 +125,7 @@ def test_results_are_those_of_the_backend(op, rng, spec):
         "local_maxima": {"least": 0.3, "cell": 2.5, "size": 3.125, "turn": 0.2, "most": 3},
         "merge_maxima": {"apart": 2.0, "log_ratio": 0.3, "most": 9},
         "match_corners": {"most": 3},
+        "pull_modules": {"certainty": 2.0},
     }
     options = options.get(op, {})
     if op.startswith("splat"):
@@ -313,6 +315,7 @@ BAD = [
     ),
     ("code_normal_equations", {"reach": -1}, ValueError, "reach must be at least 0, got -1"),
     ("code_product", {"arg1": f32(B, 4, 4)}, ValueError, "stencil must have an odd side, got (2, 4, 4)"),
+    ("pull_modules", {"certainty": -1.0}, ValueError, "certainty must be at least 0.0, got -1.0"),
     ("solve_code_banded", {"arg1": f32(B, 2, 2)}, ValueError, "stencil must have an odd side, got (2, 2, 2)"),
     ("solve_code", {"arg1": f32(B, 4, 4)}, ValueError, "stencil must have an odd side, got (2, 4, 4)"),
     ("solve_code", {"max_iterations": -1}, ValueError, "max_iterations must be at least 0, got -1"),

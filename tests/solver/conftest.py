@@ -6,9 +6,10 @@ from typing import Any
 import numpy as np
 import pytest
 from scenes import at, corners, middle_us, window_of
+from steps import deposit, sharpen
 
 from evqr.config import StageOneConfig
-from evqr.region import Region, deposit, region_around, sharpen
+from evqr.region import Region, region_around
 from evqr.windows import Window
 from evqr.workspace import Workspace
 from evqr_kernels.backend import get_backend

@@ -46,12 +46,14 @@ def test_data_is_in_order_over_the_blocks(version):
 
 @pytest.mark.parametrize("version", [1, 2, 9])
 def test_format_words_are_those_in_the_symbols(version):
-    words, meaning = format_words(version)
-    assert words.shape == (32, 30)
-    assert len(set(meaning)) == 32
-    for word, (level, mask) in list(zip(words, meaning, strict=True))[::5]:
-        np.testing.assert_array_equal(word, make(version, level, mask)[code_space(version).format])
-    apart = (words[:, None] != words).sum(-1)[~np.eye(32, dtype=bool)]
+    words = format_words(version)
+    assert words.signs.shape == (32, 30)
+    assert len(set(words.meaning)) == 32
+    for word, (level, mask) in list(zip(words.signs, words.meaning, strict=True))[::5]:
+        grid = make(version, level, mask)
+        np.testing.assert_array_equal(word, grid[code_space(version).format])
+        np.testing.assert_array_equal(word, grid.ravel()[words.at])
+    apart = (words.signs[:, None] != words.signs).sum(-1)[~np.eye(32, dtype=bool)]
     assert apart.min() >= 10  # two copies of a word that differs in five bits or more
 
 

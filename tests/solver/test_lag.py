@@ -3,10 +3,10 @@
 import numpy as np
 import pytest
 from scenes import scene
+from steps import deposit
 
 from evqr.config import StageOneConfig
 from evqr.lag import estimate_lag
-from evqr.region import deposit
 from evqr.simulate import SensorConfig
 from evqr.stage_one import align, fine_levels
 

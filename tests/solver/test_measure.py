@@ -3,15 +3,16 @@
 import numpy as np
 import pytest
 from scenes import at, middle_us, scene, window_of
+from steps import deposit, normal_equations, sharpen
 
 from evqr.codespace import code_space
 from evqr.config import ReadConfig
 from evqr.decode import Decoded, decode_grid
 from evqr.measure import Measure, measure
 from evqr.model import QUIET_MODULES, lattice, profiles
-from evqr.region import deposit, depositing, region_around, sharpen
+from evqr.region import depositing, region_around
 from evqr.stage_one import align, fine_levels
-from evqr.stage_two import REACH, SUPPORT, normal_equations
+from evqr.stage_two import REACH, SUPPORT
 
 CONFIG = ReadConfig()
 LAG_PX = (0.4, 0.7)

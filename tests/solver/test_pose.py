@@ -7,7 +7,7 @@ import pytest
 from scenes import at, corners, middle_us, moved, scene, window_of
 
 from evqr.config import FinderConfig, StageOneConfig
-from evqr.initial.finder import Hypothesis, find_hypotheses, find_peaks
+from evqr.initial.finder import Hypothesis, find_hypotheses
 from evqr.initial.pose import batches, screen
 
 CONFIG = StageOneConfig()
@@ -17,12 +17,8 @@ def searched(made, workspace):
     """The pyramid of a search along the true motion, what it found, and the true pose."""
     truth = made.truth["truth"]
     velocity = at(truth, "velocity", middle_us(made))
-    peaks, pyramid = find_peaks(window_of(made), velocity, FinderConfig(), workspace=workspace)
-    return (
-        pyramid,
-        find_hypotheses(peaks, FinderConfig(), workspace=workspace),
-        at(truth, "H", middle_us(made)),
-    )
+    found = find_hypotheses(window_of(made), velocity, FinderConfig(), workspace=workspace)
+    return found.pyramid, found.hypotheses, at(truth, "H", middle_us(made))
 
 
 def modules_off(candidate, pose, size, module_px):

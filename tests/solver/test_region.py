@@ -3,10 +3,11 @@
 import numpy as np
 import pytest
 from scenes import scene, window_of
+from steps import deposit, sharpen
 
 from evqr.config import StageOneConfig
 from evqr.model import QUIET_MODULES
-from evqr.region import Region, deposit, module_px, outline, region_around, sharpen
+from evqr.region import Region, module_px, outline, region_around
 from evqr.types import EventArray
 from evqr.windows import Window
 

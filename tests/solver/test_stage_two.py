@@ -6,11 +6,12 @@ import dense
 import numpy as np
 import pytest
 from scenes import scene
+from steps import normal_equations
 
 from evqr.codespace import code_space
 from evqr.config import StageOneConfig, StageTwoConfig
 from evqr.stage_one import align, fine_levels
-from evqr.stage_two import NormalEquations, normal_equations, solve_modules
+from evqr.stage_two import NormalEquations, solve_modules
 
 ONE = StageOneConfig()
 CONFIG = StageTwoConfig()

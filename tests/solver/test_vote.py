@@ -4,11 +4,12 @@ import dense
 import numpy as np
 import pytest
 from scenes import middle_us, scene
+from steps import normal_equations
 
 from evqr.codespace import code_space
 from evqr.config import StageOneConfig, StageTwoConfig, Vote
 from evqr.stage_one import align, fine_levels
-from evqr.stage_two import normal_equations, solve_modules
+from evqr.stage_two import solve_modules
 from evqr.vote import Tally
 
 ONE = StageOneConfig()

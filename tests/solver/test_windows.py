@@ -51,10 +51,10 @@ def test_times_are_seconds_from_the_middle():
     assert len(window) == 3
 
 
-def test_an_odd_length_has_its_middle_between_microseconds():
+def test_an_odd_length_has_its_middle_on_a_microsecond():
     window = make_window(events_at([0, 1, 2]), 0, 3)
-    assert window.middle_us == 1.5
-    np.testing.assert_allclose(window.t, [-1.5e-6, -0.5e-6, 0.5e-6], rtol=1e-6)
+    assert window.middle_us == 1
+    np.testing.assert_allclose(window.t, [-1e-6, 0.0, 1e-6], rtol=1e-6)
 
 
 def test_columns_are_float32_and_keep_their_values():
@@ -72,7 +72,7 @@ def test_stamps_of_any_size_lose_nothing(start):
     window = make_window(events_at([start + o for o in offsets]), start, start + 1000)
     expected = (np.array(offsets) - 500.0) * 1e-6
     np.testing.assert_allclose(window.t, expected, rtol=1e-6, atol=0)
-    assert window.middle_us == start + 500.0
+    assert window.middle_us == start + 500
 
 
 def test_keep_takes_what_the_mask_says_and_the_same_bounds():
