@@ -1,13 +1,18 @@
-"""A recorded sequence of launches on the CPU, made in one launch.
+"""A recorded sequence of launches on the CPU, made in one call.
 
 Each launch from Python takes some microseconds, and lets go of the GIL and waits for it again: seventy times
 a window, for which two threads wait for each other.  One kernel that calls the others in turn does so once.
 Warp's graphs do the same, but while one thread captures a graph on the CPU, the launches of every other
 thread are taken for part of it.
+
+Who waits for the GIL sleeps, and being woken takes longer than what most waits are for.  So a thread that
+has made its steps first waits awake for its turn, which the others have while they are between two sequences,
+and finds the GIL free.  A turn is no lock: who has waited too long takes it, as from a thread that has gone.
 """
 
 import ctypes
 from collections.abc import Callable
+from functools import cache
 from typing import Any, TypeAlias
 
 import numpy as np
@@ -22,10 +27,15 @@ launch and to a structure of its arguments; with others, each step is launched b
 
 _ENTRY = ctypes.CFUNCTYPE(None, ctypes.c_void_p, ctypes.c_void_p)
 
+MOST_LOOKS = 20_000
+"""Times that a thread looks whether it is its turn: half a millisecond, longer than most turns."""
+
 
 @wp.func_native("""
     typedef void (*entry_t)(void*, void*);
     const wp::uint64* step = steps_inout.data;
+    wp::int32* turn = turn_inout.data;
+    __atomic_store_n(turn, 0, __ATOMIC_RELEASE);
     for (int i = 0; i < count; ++i, step += 3) {
         void* where = (void*)step[1];
         if (step[0])
@@ -33,16 +43,33 @@ _ENTRY = ctypes.CFUNCTYPE(None, ctypes.c_void_p, ctypes.c_void_p)
         else
             memset(where, 0, step[2]);
     }
+    for (int look = 0; look < looks && __atomic_exchange_n(turn, 1, __ATOMIC_ACQUIRE); ++look) {
+        for (; look < looks && __atomic_load_n(turn, __ATOMIC_RELAXED); ++look) {
+#if defined(__x86_64__)
+            __builtin_ia32_pause();
+#endif
+        }
+    }
 """)
-def run_steps(count: int, steps_inout: wp.array(dtype=wp.uint64)):
-    """Call kernels by their addresses."""
+def run_steps(
+    count: int, looks: int, steps_inout: wp.array(dtype=wp.uint64), turn_inout: wp.array(dtype=wp.int32)
+):
+    """Call kernels by their addresses, then wait for this thread's turn."""
     ...
 
 
 @wp.kernel(module="unique", enable_backward=False)
-def run_sequence(count: int, steps_inout: wp.array(dtype=wp.uint64)):
+def run_sequence(
+    count: int, looks: int, steps_inout: wp.array(dtype=wp.uint64), turn_inout: wp.array(dtype=wp.int32)
+):
     """Run each step: a kernel's address, bounds and arguments, or zero, an address and a number of bytes."""
-    run_steps(count, steps_inout)
+    run_steps(count, looks, steps_inout, turn_inout)
+
+
+@cache
+def _turn() -> wp.array:
+    """Give what all threads of the process look at, in a cache line of its own: 1 while one has its turn."""
+    return wp.zeros(64, dtype=wp.int32, device="cpu")[32:33]
 
 
 def replayer(steps: list[Recorded]) -> Callable[[], Any]:
@@ -72,8 +99,9 @@ class _Sequence:
                 row[1:] = step.ptr, step.size * wp.types.type_size_in_bytes(step.dtype)
         self._array = wp.array(self._table.ravel(), dtype=wp.uint64, device="cpu")
         self._launch = wp.launch(
-            run_sequence, 1, inputs=[len(steps)], outputs=[self._array], device="cpu", record_cmd=True
-        )
+            run_sequence, 1, inputs=[len(steps), MOST_LOOKS], outputs=[self._array, _turn()], device="cpu",
+            record_cmd=True,
+        )  # fmt: skip
         entry, *self._call = self._call_of(self._launch)
         self._entry = _ENTRY(entry)
         self._device = self._launch.device
