@@ -181,16 +181,16 @@ def _decode_oriented(
     version = version_of(len(q))
     words = format_words(version)
     soft = q.ravel()[words.at]
-    correlation = (words.signs @ soft) / max(float(np.abs(soft).sum()), _TINY)
-    best = correlation.max()
+    correlation = ((words.signs @ soft) / max(float(np.abs(soft).sum()), _TINY)).tolist()
+    best = max(correlation)
     if best < config.format_floor:
         reason = f"format information unreadable: its modules correlate {best:.2f} with the likeliest word"
         return DecodeFailure(reason=f"{reason}, {config.format_floor:.2f} needed", version=version)
 
-    likely = np.flatnonzero(correlation >= best - config.format_margin)
-    likely = likely[np.argsort(-correlation[likely], kind="stable")]
+    likely = [k for k, value in enumerate(correlation) if value >= best - config.format_margin]
+    likely.sort(key=lambda k: -correlation[k])
     outcomes = []
-    for index in likely[: config.format_candidates].tolist():
+    for index in likely[: config.format_candidates]:
         level, mask = words.meaning[index]
         outcome = _decode_format(q, version, level, mask, config, effort, mirrored=mirrored)
         if isinstance(outcome, Decoded):
@@ -249,7 +249,8 @@ def _decode_format(
         reason = "error correction succeeded, but the data is empty or malformed"
         return failed(f"{reason} (level {level}, mask {mask})")
 
-    log_chance = hypotheses + float(np.logaddexp.reduce([b.log_chance for b in blocks]))
+    least_sure = max(block.log_chance for block in blocks)
+    log_chance = hypotheses + least_sure + math.log(sum(math.exp(b.log_chance - least_sure) for b in blocks))
     return Decoded(
         text=barcode.text,
         data=barcode.bytes,
@@ -297,12 +298,12 @@ def _correct_block(
         agreement = np.where((soft < 0.0) == np.unpackbits(codewords), weights, -weights)
         log_chance = log_chance_contents(agreement, block.n_data, n_pads)
         if log_chance <= log_limit:
-            changed = codewords != received
-            n_errors = int(changed.sum() - changed[doubtful[:n_erased]].sum())
+            changed = set(np.flatnonzero(codewords != received).tolist())
+            n_errors = len(changed.difference(doubtful[:n_erased]))
             return _CorrectedBlock(
                 codewords=codewords,
                 n_pads=n_pads,
-                changed=int(changed.sum()),
+                changed=len(changed),
                 erased=n_erased,
                 spare=block.n_check - n_erased - 2 * n_errors,
                 log_chance=log_chance,

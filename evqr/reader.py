@@ -18,6 +18,7 @@ from numpy.typing import NDArray
 from evqr.decode import Decoded, decode_grid
 from evqr.passes import Passes, Progress
 from evqr.recording import Recording, open_recording
+from evqr.region import at_centre
 from evqr.solver import Sighting, Solver, StageClock, Unseen
 from evqr.stage_two import solve_modules
 from evqr.types import ReadResult, ReadStatus, WindowReading
@@ -246,11 +247,8 @@ def _affine(sighting: Sighting) -> NDArray[np.float64]:
 
     Perspective is linearised at the code's centre.
     """
-    c = sighting.size / 2.0
-    u, v, w = (sighting.pose @ (c, c, 1.0)).tolist()
-    x, y = u / w, v / w
-    (a, b, _), (d, e, _), (g, h, _) = sighting.pose.tolist()
-    per_u, per_v = ((a - x * g) / w, (d - y * g) / w), ((b - x * h) / w, (e - y * h) / w)
-    determinant = per_u[0] * per_v[1] - per_u[1] * per_v[0]
-    linear = np.array([[per_v[1], -per_v[0]], [-per_u[1], per_u[0]]]) / determinant
-    return np.column_stack([linear, (c - 0.5) - linear @ (x, y)])
+    (x, y), (x_u, x_v, y_u, y_v) = at_centre(sighting.pose, sighting.size)
+    determinant = x_u * y_v - x_v * y_u
+    u_x, u_y, v_x, v_y = y_v / determinant, -x_v / determinant, -y_u / determinant, x_u / determinant
+    c = (sighting.size - 1) / 2.0
+    return np.array([[u_x, u_y, c - u_x * x - u_y * y], [v_x, v_y, c - v_x * x - v_y * y]])

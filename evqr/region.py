@@ -59,13 +59,19 @@ def outline(pose: NDArray[np.float64], size: int, margin: float = 0.0) -> NDArra
     return (corners[:2] / corners[2]).T
 
 
+def at_centre(pose: NDArray[np.float64], size: int) -> tuple[tuple[float, float], tuple[float, ...]]:
+    """Centre of a code [px], and the Jacobian there [px a module]: x_u, x_v, y_u, y_v."""
+    c = size / 2.0
+    (a, b, p), (d, e, q), (g, h, r) = pose.tolist()
+    w = c * (g + h) + r
+    x, y = (c * (a + b) + p) / w, (c * (d + e) + q) / w
+    return (x, y), ((a - x * g) / w, (b - x * h) / w, (d - y * g) / w, (e - y * h) / w)
+
+
 def module_px(pose: NDArray[np.float64], size: int) -> float:
     """Size of a module at the centre of a code [px]."""
-    c = size / 2.0
-    # the Jacobian's determinant is that of the homography over the cube of its denominator
-    (a, b, x), (d, e, y), (g, h, z) = pose.tolist()
-    determinant = a * (e * z - y * h) - b * (d * z - y * g) + x * (d * h - e * g)
-    return math.sqrt(abs(determinant / (c * (g + h) + z) ** 3))
+    _, (x_u, x_v, y_u, y_v) = at_centre(pose, size)
+    return math.sqrt(abs(x_u * y_v - x_v * y_u))
 
 
 def region_around(
@@ -74,9 +80,12 @@ def region_around(
     """Give the region that holds a code and its quiet zone."""
     corners = outline(pose, size, QUIET_MODULES + 1.0)
     cell = module_px(pose, size) / cfg.cells_a_module
-    low, high = corners.min(axis=0) - margin_px, corners.max(axis=0) + margin_px
-    width, height = (math.ceil(extent / cell / GRAIN) * GRAIN for extent in high - low)
-    return Region(float(low[0]), float(low[1]), cell, height, width)
+    low = [min(along) - margin_px for along in corners.T.tolist()]
+    high = [max(along) + margin_px for along in corners.T.tolist()]
+    width, height = (
+        math.ceil((last - first) / cell / GRAIN) * GRAIN for first, last in zip(low, high, strict=True)
+    )
+    return Region(low[0], low[1], cell, height, width)
 
 
 class Deposit(Step):

@@ -152,7 +152,7 @@ class Align(Step):
             last[:, :2],
             last[:, 2],
             last[:, 3],
-            sum(int(result.read()[:, 4].max()) for result in self._results),
+            sum(int(max(result.read()[:, 4].tolist())) for result in self._results),
         )
 
 

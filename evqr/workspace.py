@@ -24,7 +24,6 @@ recording, and each size of region has its own."""
 FEWEST_EVENTS = 1 << 14
 """Room for events grows from this in powers of two, so that launches recorded for it are used again."""
 
-
 MOST_ROOM = 16
 """A window may lie in room for so many times its events: threads without events cost little."""
 
@@ -147,8 +146,10 @@ class Workspace:
         A window that is the beginning of one that is there lies in its room; without ``times`` the times
         there may be those of the other one.
         """
-        slots = next((slots for slots in self._slots.values() if slots.holds(window)), None)
-        if slots is None:
+        for slots in self._slots.values():
+            if slots.holds(window):
+                break
+        else:
             capacity = max(FEWEST_EVENTS, 1 << (len(window) - 1).bit_length())
             if capacity not in self._slots:
                 self._slots[capacity] = EventSlots(self, capacity)

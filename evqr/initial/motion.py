@@ -129,7 +129,7 @@ def _mean_us(window: Window, first: int, last: int) -> float:
 
 def window_length_us(speed: float, travel_px: float, cfg: MotionConfig) -> int:
     """Length of a window in which something at ``speed`` [px/s] travels ``travel_px`` [us]."""
-    return int(np.clip(travel_px / max(speed, 1e-9) * 1e6, 20.0, cfg.longest_us))
+    return int(min(max(travel_px / max(speed, 1e-9) * 1e6, 20.0), cfg.longest_us))
 
 
 def find_motion(

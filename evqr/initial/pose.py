@@ -89,4 +89,4 @@ def _level_for(pose: NDArray[np.float64], pyramid: list[PyramidLevel], cfg: Stag
     # affine, so a module is as large everywhere
     (a, b, _), (d, e, _), _ = pose.tolist()
     wanted = math.sqrt(abs(a * e - b * d)) / cfg.cells_a_module
-    return min(range(len(pyramid)), key=lambda k: abs(math.log(pyramid[k].cell / wanted)))
+    return min(range(len(pyramid)), key=lambda k: max(pyramid[k].cell / wanted, wanted / pyramid[k].cell))
