@@ -101,6 +101,32 @@ def test_on_the_cpu_a_sequence_is_one_call(monkeypatch):
     assert counts == [0, 2]
 
 
+def test_a_turn_that_is_never_given_back_is_taken():
+    """A step that does what another thread would: the sequence waits for it, and not for ever."""
+    import warp as wp
+
+    from evqr_kernels.warp_backend import language, replay
+
+    if not wp.config.version.startswith(replay.ENTRIES_OF):
+        pytest.skip(f"it is not known whether an entry of Warp {wp.config.version} takes two pointers")
+    turn = replay._turn()
+
+    @wp.kernel
+    def take(turn_out: wp.array(dtype=wp.int32)):
+        turn_out[0] = 1
+
+    sequence = language.record(
+        lambda: language.launch(take, 1, inputs=[], outputs=[turn], device=turn.device)
+    )
+    for _ in range(3):
+        sequence()
+        assert turn.numpy()[0] == 1
+    backend = get_backend("warp")
+    image, _, run = counting(backend, "cpu")
+    backend.record(run)()
+    assert value(backend, image, "cpu") == 3.0
+
+
 def test_an_error_ends_the_recording(placed):
     backend, device = placed.backend, placed.device
     image, _, run = counting(backend, device)
