@@ -153,7 +153,7 @@ class Solution(Step):
         self._rhs = workspace.empty(1, modules, modules)
         self._iterations = workspace.mirror((1,), np.int32)
         self._unclear = workspace.mirror((1, modules), np.int32)
-        self.run_first = workspace.backend.record(self._launch_first)
+        self.run_first = workspace.backend.record(self.launch_first)
 
     def write(self, equations: NormalEquations) -> None:
         """Say what was seen."""
@@ -167,7 +167,8 @@ class Solution(Step):
         self._damping.write(min(max(cfg.damping / peak, least), most))
         self._q.write(self._start)
 
-    def _launch_first(self) -> None:
+    def launch_first(self) -> None:
+        """Launch the first pass: modules are pulled to what they start from, free ones to grey."""
         self._pull()
         self.launch()
 

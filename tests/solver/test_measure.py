@@ -5,14 +5,13 @@ import pytest
 from scenes import at, middle_us, scene, window_of
 from steps import deposit, normal_equations, sharpen
 
-from evqr.codespace import code_space
 from evqr.config import ReadConfig
 from evqr.decode import Decoded, decode_grid
 from evqr.measure import Measure, measure
 from evqr.model import QUIET_MODULES, lattice, profiles
 from evqr.region import depositing, region_around
 from evqr.stage_one import align, fine_levels
-from evqr.stage_two import REACH, SUPPORT
+from evqr.stage_two import REACH, SUPPORT, Solution
 
 CONFIG = ReadConfig()
 LAG_PX = (0.4, 0.7)
@@ -36,45 +35,30 @@ def made():
     return scene(preset="fast")
 
 
-def solving(step, peak, workspace):
-    """Launches that build the whole of stage two's equations from what ``step`` leaves, and solve them.
+def solving(step, equations, workspace):
+    """The solution of the equations that ``step`` leaves, and the launches for it, A^T A included.
 
-    ``peak`` is the size of the matrix's entries, as an earlier window knows it.
+    ``equations`` of an earlier window say how strong the damping is.
     """
-    cfg, samples, backend = CONFIG.stage_two, CONFIG.stage_two.samples, workspace.backend
-    space, inner = code_space(2), slice(QUIET_MODULES, -QUIET_MODULES)
-    n, k = 25 + 2 * QUIET_MODULES, 2 * REACH + 1
-    free, start = np.zeros((n, n), np.int32), np.zeros((1, n, n), np.float32)
-    free[inner, inner] = ~space.known
-    start[0, inner, inner] = np.where(space.known, space.values - 1.0, -1.0)
-    profile, slope, _ = profiles(
-        (np.arange(SUPPORT * samples) + 0.5) / samples - SUPPORT // 2, CONFIG.stage_one.sigma
+    cfg, samples, one = CONFIG.stage_two, CONFIG.stage_two.samples, CONFIG.stage_one
+    solution = Solution(2, cfg, workspace)
+    solution.write(equations)
+    solution._damping.write(DAMPING * equations.stencil[REACH, REACH])
+    profile, slope, _ = profiles((np.arange(SUPPORT * samples) + 0.5) / samples - SUPPORT // 2, one.sigma)
+    axis, profile, slope = (
+        workspace.put(f.astype(np.float32)) for f in (lattice(25, samples), profile, slope)
     )
-    axis = lattice(25, samples)
-    axis, profile, slope, damping = (
-        workspace.put(np.asarray(f, np.float32)) for f in (axis, profile, slope, [DAMPING * peak])
-    )
-    free, q = workspace.put(free), workspace.put(start)
-    stencil = workspace.empty(1, k, k)
-    # the damping pulls q to 0, not q - 1: that moves the right-hand side
-    terms, rhs = workspace.put(np.ones((2, n, n), np.float32)), workspace.empty(1, n, n)
-    weight = workspace.put(np.array([[1.0, DAMPING * peak]], np.float32))
+    n = 25 + 2 * QUIET_MODULES
     sampled, rows = workspace.empty(1, n * samples, n * samples), workspace.empty(1, 2, n * samples, n)
-    scratch = [workspace.empty(1, n, n) for _ in range(4)] + [workspace.empty(1, 4, n) for _ in range(2)]
-    iterations = workspace.empty(1, dtype=np.int32)
 
     def launch():
-        backend.code_normal_equations(
+        workspace.backend.code_normal_equations(
             step.sharpen.images, step.align.pose, axis, profile, slope, step.align.gain, samples, sampled,
-            rows, stencil, terms[:1],
+            rows, solution._stencil.device, solution._seen.device,
         )  # fmt: skip
-        backend.mix_images(terms, weight, rhs)
-        backend.solve_code(
-            rhs, stencil, damping, free, q, tuple(scratch), iterations, max_iterations=cfg.max_iterations,
-            tolerance=cfg.tolerance,
-        )  # fmt: skip
+        solution.launch_first()
 
-    return launch, q
+    return solution, launch
 
 
 def assert_same(measured, found, equations):
@@ -110,7 +94,7 @@ def test_whole_windows_run_as_one_captured_graph(made, workspace):
     first = measure(window, velocity, region, pose, 2, LAG_PX, CONFIG, workspace=workspace)
     events = depositing(window, velocity, region, workspace=workspace)
     step = Measure(events, True, 2, CONFIG, workspace)
-    solve, q = solving(step, first.equations.stencil[REACH, REACH], workspace)
+    solution, solve = solving(step, first.equations, workspace)
     solve()  # loads what nothing else has used
     with wp.ScopedCapture(device=workspace.device) as capture:
         step.launch()
@@ -125,7 +109,6 @@ def test_whole_windows_run_as_one_captured_graph(made, workspace):
         equations = step.equations.read(found.gain[0])
         again = measure(window, velocity, region, pose, 2, LAG_PX, CONFIG, workspace=workspace)
         assert_same(again, found, equations)
-        inner = slice(QUIET_MODULES, -QUIET_MODULES)
-        outcome = decode_grid(workspace.get(q)[0, inner, inner] + 1.0)
+        outcome = decode_grid(solution.read())
         assert isinstance(outcome, Decoded)
         assert outcome.text == made.scene.codes[0].text
