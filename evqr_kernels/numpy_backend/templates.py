@@ -12,9 +12,9 @@ def correlate_templates(
     """Correlate an image, padded by n - 1, with a bank of n x n templates; overwrites."""
     batch, height, width = response_out.shape
     size = len(spans)
-    bank = basis @ mix.T
     row = np.arange(size)[:, None]
     disc = ((row >= spans[:, 0]) & (row < spans[:, 1])).astype(image.dtype)
+    bank = disc[..., None] * (basis @ mix.T)
     patches = sliding_window_view(image, (size, size), axis=(1, 2))[:, :height, :width]
     for b in range(batch):
         floor = quiet * disc.sum() * (image[b] ** 2).sum() / max(busy[b], 1)

@@ -167,8 +167,7 @@ def correlate_templates(
     busy : (B,)         pixels that the energy of the image is spread over
     basis : (N, N, 5)   orthonormal
     mix : (A, 5)        mixture of the basis that each of A templates is, no longer than 1
-    spans : (N, 2)      in each column of a template the first row whose energy counts, and the one behind
-                        the last
+    spans : (N, 2)      in each column of a template the first row that counts, and the one behind the last
     quiet               energy, relative to that of busy pixels, up to which a place is quiet: 0
     least               magnitude below which a response is 0
 

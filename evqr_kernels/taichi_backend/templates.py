@@ -98,10 +98,9 @@ def make_correlate_basis(dtype, block: int):
                         energy[p] += squares[0, 0, last + p] - squares[0, 0, first + p]
                 if energy.max() > floor[b]:
                     sums = ti.Matrix.zero(dtype, TERMS, block)
-                    for j in range(size):
-                        row = row_of(image, b, y + j) + x
-                        for i in range(size):
-                            at = run_at(row + i)
+                    for i in range(size):
+                        for j in range(spans[i, 0], spans[i, 1]):
+                            at = run_at(row_of(image, b, y + j) + x + i)
                             for c in ti.static(range(TERMS)):
                                 term = basis[j, i, c]
                                 for p in ti.static(range(block)):

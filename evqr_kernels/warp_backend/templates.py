@@ -1,6 +1,6 @@
 """Matched filters: normalised correlation with the templates of a bank, of which only the best one is kept.
 
-    response(y, x) = sum_{j, i} T_a(j, i) image(y + j, x + i) / sqrt(energy(y, x) + floor)
+    response(y, x) = sum_{(j, i) in disc} T_a(j, i) image(y + j, x + i) / sqrt(energy(y, x) + floor)
     energy(y, x)   = sum_{(j, i) in disc} image(y + j, x + i)^2
     floor          = quiet |disc| sum image^2 / busy
 
@@ -17,7 +17,8 @@ and Adelson, PAMI 1991), so the bank comes as a basis of five and as the mixture
 The basis is orthonormal and the rows of the mixture are no longer than 1, so the length of the sums bounds
 every response.  Responses of magnitude below ``least`` are 0.
 
-The disc is given by the ends of its columns, ``spans`` (N, 2): energies are then differences of running sums.
+The disc is given by the ends of its columns, ``spans`` (N, 2): energies are then differences of running sums,
+and the corners of the templates' squares, a quarter of them, cost nothing.
 """
 
 from functools import cache
@@ -119,8 +120,8 @@ def make_correlate_basis(dtype: type, block: int) -> wp.Kernel:
         s2 = vec_pixels()
         s3 = vec_pixels()
         s4 = vec_pixels()
-        for j in range(size):
-            for i in range(size):
+        for i in range(size):
+            for j in range(spans[i, 0], spans[i, 1]):
                 v = pixels[b, y + j, x + i]
                 term = basis[j, i]
                 s0 += term[0] * v

@@ -156,7 +156,7 @@ def correlate_templates(rng, dtype, width=24, n=5):
     g = np.arange(n) - n // 2
     disc = (g[:, None] ** 2 + g**2) <= (n // 2) ** 2
     spans = np.array([(c.argmax(), n - c[::-1].argmax()) for c in disc.T], np.int32)
-    basis, _ = np.linalg.qr((rng.normal(size=(n, n, 5)) * disc[..., None]).reshape(-1, 5))
+    basis, _ = np.linalg.qr(rng.normal(size=(n * n, 5)))
     mix = rng.normal(size=(8, 5))
     mix /= np.linalg.norm(mix, axis=1, keepdims=True)
     busy = np.array([500.0, 300.0, 0.0], dtype)
