@@ -142,12 +142,12 @@ class _Masked:
 
     Attributes
     ----------
-    signs : (8 n,) float64     of the mask, in the order of the codewords' bits
+    signs : (8 n,) int8        of the mask, in the order of the codewords' bits
     codewords : (n,) uint8     that the mask turns into light modules
     symbol : (r r,) int8       with those
     """
 
-    signs: NDArray[np.float64]
+    signs: NDArray[np.int8]
     codewords: NDArray[np.uint8]
     symbol: NDArray[np.int8]
 
@@ -162,7 +162,7 @@ def _masked(version: int, level: ErrorLevel, mask: int) -> _Masked:
     signs = mask_signs(version)[mask][bits]
     symbol[bits] = 1
     return _Masked(
-        signs=read_only(signs.astype(np.float64)),
+        signs=read_only(signs),
         codewords=read_only(np.packbits(signs < 0)),
         symbol=read_only(symbol),
     )

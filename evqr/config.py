@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass, field
 from enum import Enum
 
@@ -155,7 +156,7 @@ class StageTwoConfig:
     passes           solutions at most: the first pulls modules to grey, each later one to what the one before
                      says
     certainty        factor by which a pass goes beyond what the one before said, up to dark or light: what
-                     does not get there is unclear
+                     does not get there is unclear; at least 1, or known modules would be
     unclear          share of unclear modules that ends the passes: the decoder corrects more than that
     tolerance        of the residual of a pass, relative
     max_iterations   of conjugate gradients, a pass
@@ -175,8 +176,8 @@ class StageTwoConfig:
             raise ValueError(f"passes must be at least 1, got {self.passes}")
         if not 0.0 < self.damping_range[0] <= self.damping_range[1]:
             raise ValueError(f"damping_range must be two positive numbers in order, got {self.damping_range}")
-        if self.certainty < 1.0:
-            raise ValueError(f"certainty must be at least 1, got {self.certainty}")
+        if not 1.0 <= self.certainty < math.inf:
+            raise ValueError(f"certainty must be at least 1 and finite, got {self.certainty}")
 
 
 @dataclass(frozen=True, kw_only=True)

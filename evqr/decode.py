@@ -21,7 +21,7 @@ import zxingcpp
 from numpy.typing import NDArray
 
 from evqr.chance import count_pads, log_chance_contents
-from evqr.codespace import version_of
+from evqr.codespace import read_only, version_of
 from evqr.codewords import Block, ErrorLevel, codeword_layout, format_words, symbol_of, unmasked
 
 Effort = Literal["quick", "full"]
@@ -336,7 +336,7 @@ def _tries(n_check: int, config: DecodeConfig, effort: Effort) -> list[int]:
     return [tries[i] for i in sorted(set(chosen.tolist()))]
 
 
-@functools.cache
+@functools.lru_cache(maxsize=16)
 def _contributions(n: int, n_check: int) -> tuple[NDArray[np.intp], NDArray[np.uint8]]:
     """Return the n places, and what each value at each of them adds to the syndromes, (n, 256, n_check)."""
     log, exp, _ = _FIELD
@@ -346,7 +346,7 @@ def _contributions(n: int, n_check: int) -> tuple[NDArray[np.intp], NDArray[np.u
     exponents = np.outer(places[::-1], np.arange(n_check))
     table = powers[(np.array(log)[:, None] + exponents[:, None]) % 255]
     table[:, 0] = 0  # zero has no logarithm
-    return places, table
+    return read_only(places), read_only(table)
 
 
 def _syndromes(codewords: NDArray[np.uint8], n_check: int) -> NDArray[np.uint8]:

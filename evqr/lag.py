@@ -32,11 +32,11 @@ OFF_OVER_ON = 1.6
 MOST_STEPS = 1
 """Steps of Gauss-Newton for each pair."""
 
-CORNERS = [(0.0, 0.0), (1.0, 0.0), (0.0, 1.0)]
+CORNERS = ((0.0, 0.0), (1.0, 0.0), (0.0, 1.0))
 """Lags [px] whose images those for all pairs are mixed from: the image is linear in the lags."""
 
 FACTORS = (0.6, 1.0, 1.6)
-"""Factors around the best first pair, for ON and for OFF."""
+"""Factors around the best first pair, for ON and for OFF; with 1, which is that pair itself."""
 
 
 def estimate_lag(

@@ -53,7 +53,7 @@ def read_codes(
     time_unit   "us", "ms", "s" or "ns" where neither source nor numbers tell
     backend     "auto", "warp", "numpy", or a registered name
     device      "cpu", "cuda:0", ...
-    threads     windows searched at once; default 1
+    threads     windows searched at once; default 1, at most as many as there are cores
     progress    called with the event time done and the whole duration, None while unknown [us]
 
     Returns

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import functools
 import math
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -59,7 +60,9 @@ def outline(pose: NDArray[np.float64], size: int, margin: float = 0.0) -> NDArra
     return (corners[:2] / corners[2]).T
 
 
-def at_centre(pose: NDArray[np.float64], size: int) -> tuple[tuple[float, float], tuple[float, ...]]:
+def at_centre(
+    pose: NDArray[np.float64], size: int
+) -> tuple[tuple[float, float], tuple[float, float, float, float]]:
     """Centre of a code [px], and the Jacobian there [px a module]: x_u, x_v, y_u, y_v."""
     c = size / 2.0
     (a, b, p), (d, e, q), (g, h, r) = pose.tolist()
@@ -128,7 +131,7 @@ class Sharpen(Step):
         self.images = workspace.empty(count, height, width)
 
     def write(
-        self, velocity: NDArray[np.float64], region: Region, lags_px: list[tuple[float, float]]
+        self, velocity: NDArray[np.float64], region: Region, lags_px: Sequence[tuple[float, float]]
     ) -> None:
         """Say which lags (ON, OFF) along which motion."""
         self._direction.write(velocity / max(math.hypot(*velocity), 1e-9))

@@ -139,7 +139,10 @@ def _fixed(version: int) -> tuple[NDArray[np.int32], NDArray[np.float32]]:
 
 
 class Solution(Step):
-    """One pass: the modules, and the right-hand side that pulls the next pass to them."""
+    """One pass: the modules, and the right-hand side that pulls the next pass to them.
+
+    After `write` comes `run_first`, then `run` for every further pass.
+    """
 
     def __init__(self, version: int, cfg: StageTwoConfig, workspace: Workspace) -> None:
         super().__init__(workspace.backend)

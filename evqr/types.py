@@ -41,7 +41,7 @@ class EventArray:
 
     def first_at(self, time_us: int) -> int:
         """Index of the first event at a time or later."""
-        # as quick as NumPy's own search, which lets other threads have the GIL and may wait to get it back
+        # a microsecond; NumPy's own search lets other threads have the GIL and may wait to get it back
         return bisect_left(self.t, time_us)
 
     def cut(self, first: int, last: int) -> EventArray:

@@ -183,6 +183,8 @@ def pull_modules(
     checks.floats("q", q, "B", "M", "M")
     checks.floats("damping", damping, "B")
     checks.at_least("certainty", certainty, 0.0)
+    if certainty == np.inf:  # times zero, of modules that lean nowhere
+        raise ValueError("certainty must be finite, got inf")
     launch = Launch("pull_modules", checks, backend, device)
     batch, modules, _ = q.shape
     results = launch.result(None, *q.shape), launch.result(None, batch, modules, dtype=np.int32)

@@ -11,8 +11,9 @@ and finds the GIL free.  A turn is no lock: who has waited too long takes it, as
 """
 
 import ctypes
+import os
+import sys
 from collections.abc import Callable
-from functools import cache
 from typing import Any, TypeAlias
 
 import numpy as np
@@ -27,8 +28,15 @@ launch and to a structure of its arguments; with others, each step is launched b
 
 _ENTRY = ctypes.CFUNCTYPE(None, ctypes.c_void_p, ctypes.c_void_p)
 
-MOST_LOOKS = 20_000
-"""Times that a thread looks whether it is its turn: half a millisecond, longer than most turns."""
+_cores = len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count()
+_has_gil = getattr(sys, "_is_gil_enabled", lambda: True)()  # of Python 3.13
+
+MOST_LOOKS = 20_000 if _cores != 1 and _has_gil else 0
+"""Times that a thread looks whether it is its turn: half a millisecond on a server of 2023, longer than most
+turns.  On one core who looks keeps the others from ending theirs."""
+
+_TURN = np.zeros(64, np.int32)[32:33]
+"""What all threads look at, in a cache line of its own: 1 while one has its turn."""
 
 
 @wp.func_native("""
@@ -47,6 +55,8 @@ MOST_LOOKS = 20_000
         for (; look < looks && __atomic_load_n(turn, __ATOMIC_RELAXED); ++look) {
 #if defined(__x86_64__)
             __builtin_ia32_pause();
+#elif defined(__aarch64__)
+            __builtin_arm_isb(15);
 #endif
         }
     }
@@ -64,12 +74,6 @@ def run_sequence(
 ):
     """Run each step: a kernel's address, bounds and arguments, or zero, an address and a number of bytes."""
     run_steps(count, looks, steps_inout, turn_inout)
-
-
-@cache
-def _turn() -> wp.array:
-    """Give what all threads of the process look at, in a cache line of its own: 1 while one has its turn."""
-    return wp.zeros(64, dtype=wp.int32, device="cpu")[32:33]
 
 
 def replayer(steps: list[Recorded]) -> Callable[[], Any]:
@@ -98,8 +102,9 @@ class _Sequence:
             else:
                 row[1:] = step.ptr, step.size * wp.types.type_size_in_bytes(step.dtype)
         self._array = wp.array(self._table.ravel(), dtype=wp.uint64, device="cpu")
+        self._turn = wp.array(ptr=_TURN.ctypes.data, dtype=wp.int32, shape=1, device="cpu")
         self._launch = wp.launch(
-            run_sequence, 1, inputs=[len(steps), MOST_LOOKS], outputs=[self._array, _turn()], device="cpu",
+            run_sequence, 1, inputs=[len(steps), MOST_LOOKS], outputs=[self._array, self._turn], device="cpu",
             record_cmd=True,
         )  # fmt: skip
         entry, *self._call = self._call_of(self._launch)

@@ -316,6 +316,7 @@ BAD = [
     ("code_normal_equations", {"reach": -1}, ValueError, "reach must be at least 0, got -1"),
     ("code_product", {"arg1": f32(B, 4, 4)}, ValueError, "stencil must have an odd side, got (2, 4, 4)"),
     ("pull_modules", {"certainty": -1.0}, ValueError, "certainty must be at least 0.0, got -1.0"),
+    ("pull_modules", {"certainty": np.inf}, ValueError, "certainty must be finite, got inf"),
     ("solve_code_banded", {"arg1": f32(B, 2, 2)}, ValueError, "stencil must have an odd side, got (2, 2, 2)"),
     ("solve_code", {"arg1": f32(B, 4, 4)}, ValueError, "stencil must have an odd side, got (2, 4, 4)"),
     ("solve_code", {"max_iterations": -1}, ValueError, "max_iterations must be at least 0, got -1"),

@@ -104,6 +104,7 @@ def test_whole_windows_run_as_one_captured_graph(made, workspace):
         assert depositing(window, velocity, region, workspace=workspace) is events
         step.sharpen.write(velocity, region, [LAG_PX])
         step.align.write(pose[None], 0)
+        solution._q.write(solution._start)
         wp.capture_launch(capture.graph)
         found = step.align.read()
         equations = step.equations.read(found.gain[0])

@@ -265,7 +265,9 @@ def test_a_later_window_leaves_earlier_equations_alone(workspace, see):
 
 
 @pytest.mark.parametrize(
-    "wrong", [{"passes": 0}, {"damping_range": (0.5, 0.04)}, {"certainty": 0.0}], ids=str
+    "wrong",
+    [{"passes": 0}, {"damping_range": (0.5, 0.04)}, {"certainty": 0.9}, {"certainty": np.inf}],
+    ids=str,
 )
 def test_settings_that_mean_nothing_are_refused(wrong):
     with pytest.raises(ValueError, match=next(iter(wrong))):
