@@ -113,7 +113,11 @@ def main() -> int:
     parser.add_argument("--rounds", type=int)
     parser.add_argument("--format", choices=("human", "csv", "json"), default="human")
     parser.add_argument("--device", default="cpu")
-    parser.add_argument("--save", action="store_true", help="also as perf/results/DEVICE/DATE-COMMIT.csv")
+    parser.add_argument(
+        "--save",
+        action="store_true",
+        help="also as a file in perf/results/DEVICE, named after date, commit and case",
+    )
     parser.add_argument("--base", type=Path, metavar="FILE", help="a saved run to compare with")
     arguments = parser.parse_args()
     of_reader = arguments.pipeline or arguments.threads
@@ -130,7 +134,8 @@ def main() -> int:
     write = {"human": table.as_human, "csv": table.as_csv, "json": table.as_json}[arguments.format]
     print(write(about, rows), end="")
     if arguments.save:
-        table.save(arguments.device, about, rows)
+        labels = ("operations", *(arguments.case or ())) if arguments.op else ()
+        table.save(arguments.device, about, rows, *labels)
     return 0 if all(map(table.met, rows)) else 1
 
 

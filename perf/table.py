@@ -104,11 +104,11 @@ def _of_operation(r: Row) -> str:
     return f"{first} {r['rate']:9.2f} {r['share']:8.1%} of {r['bound']}, {r['unit']}s"
 
 
-def save(device: str, about: dict[str, str], rows: list[Row]) -> Path:
-    """Write perf/results/DEVICE/DATE-COMMIT.csv."""
+def save(device: str, about: dict[str, str], rows: list[Row], *labels: str) -> Path:
+    """Write perf/results/DEVICE/DATE-COMMIT-LABELS.csv."""
     date = datetime.date.today().isoformat()
     folder = Path(__file__).parent / "results" / device.replace(":", "-")
     folder.mkdir(parents=True, exist_ok=True)
-    path = folder / f"{date}-{about['commit']}.csv"
+    path = folder / f"{'-'.join((date, about['commit'], *labels))}.csv"
     path.write_text(as_csv(about, rows))
     return path

@@ -2,7 +2,7 @@
 
 from functools import cache
 
-from evqr_kernels.taichi_backend.language import array, float_of, is_alone, run_at, ti
+from evqr_kernels.taichi_backend.language import array, float_of, indices_of_window, is_alone, run_at, ti
 from evqr_kernels.taichi_backend.launches import launch
 from evqr_kernels.taichi_backend.pose import make_bilinear, make_project
 
@@ -30,6 +30,7 @@ def solve_positive(a, b, n):
 @cache
 def make_align_poses(dtype, columns: int, alone: bool):
     """Build the kernel for a table of ``columns`` functions; one thread per pose."""
+    indices = indices_of_window(alone)
     bilinear = make_bilinear(dtype)
     project = make_project(dtype)
     first = columns - 2
@@ -67,7 +68,9 @@ def make_align_poses(dtype, columns: int, alone: bool):
         result_out: array(dtype, 2),
     ):
         ti.loop_config(serialize=alone)
-        for h in range(pose_inout.shape[0]):
+        for h, idle in ti.ndrange(pose_inout.shape[0], indices):
+            if idle > 0:
+                continue
             b = image_idx[h]
             centre = settings[0]
             scale = settings[1]

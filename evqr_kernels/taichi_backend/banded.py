@@ -2,7 +2,7 @@
 
 from functools import cache
 
-from evqr_kernels.taichi_backend.language import array, float_of, is_alone, is_on_cpu, ti
+from evqr_kernels.taichi_backend.language import array, float_of, indices_of_window, is_alone, is_on_cpu, ti
 from evqr_kernels.taichi_backend.launches import launch
 
 MOST_ROUNDS = 1 << 15
@@ -29,6 +29,7 @@ def make_row_product(dtype):
 @cache
 def make_factor_rows(dtype, alone: bool):
     """Build the factorisation of some rows, and their forward substitution; one thread per window."""
+    indices = indices_of_window(alone)
     row_product = make_row_product(dtype)
 
     @ti.kernel
@@ -43,7 +44,9 @@ def make_factor_rows(dtype, alone: bool):
         q_inout: array(dtype, 3),
     ):
         ti.loop_config(serialize=alone)
-        for b in range(rhs.shape[0]):
+        for b, idle in ti.ndrange(rhs.shape[0], indices):
+            if idle > 0:
+                continue
             side = free.shape[0]
             reach = stencil.shape[1] // 2
             width = band_inout.shape[2] - 1
@@ -92,6 +95,7 @@ def make_factor_rows(dtype, alone: bool):
 @cache
 def make_substitute_rows(dtype, alone: bool):
     """Build the backward substitution of some rows; one thread per window."""
+    indices = indices_of_window(alone)
 
     @ti.kernel
     def substitute_rows(
@@ -102,7 +106,9 @@ def make_substitute_rows(dtype, alone: bool):
         q_inout: array(dtype, 3),
     ):
         ti.loop_config(serialize=alone)
-        for b in range(q_inout.shape[0]):
+        for b, idle in ti.ndrange(q_inout.shape[0], indices):
+            if idle > 0:
+                continue
             side = free.shape[0]
             width = band.shape[2] - 1
             for back in range(end_row - first_row):

@@ -4,7 +4,7 @@ from functools import cache
 
 from evqr_kernels.taichi_backend.language import array, block_of, float_of, row_of, row_of_plane, run_at, ti
 from evqr_kernels.taichi_backend.launches import launch
-from evqr_kernels.taichi_backend.splat import events_a_thread, make_add, owners
+from evqr_kernels.taichi_backend.splat import CHUNK, chunks_of, end_of_chunk, make_add, owners
 from evqr_kernels.taichi_backend.transport import make_transport
 
 MOST_CELLS = 8
@@ -26,11 +26,14 @@ def make_deposit_events(dtype, shared: bool, alone: bool):
         window_ptr: array(ti.i32, 1),
         motion: array(dtype, 2),
         frame: array(dtype, 2),
-        chunk: ti.i32,
+        chunks: ti.i32,
         deposit_out: array(dtype, 4),
     ):
         ti.loop_config(serialize=alone)
-        for b, k in ti.ndrange(motion.shape[0], (x.shape[0] + chunk - 1) // chunk):
+        for b, k in ti.ndrange(motion.shape[0], chunks):
+            if ti.static(not shared):
+                if k > 0:
+                    continue
             motion_x = motion[b, 0]
             motion_y = motion[b, 1]
             origin_x = frame[b, 0]
@@ -38,8 +41,8 @@ def make_deposit_events(dtype, shared: bool, alone: bool):
             inverse_scale = dtype(1.0) / frame[b, 2]
             right = dtype(deposit_out.shape[3] - 1)
             bottom = dtype(deposit_out.shape[2] - 1)
-            first = window_ptr[b] + k * chunk
-            for e in range(first, ti.min(first + chunk, window_ptr[b + 1])):
+            first = window_ptr[b] + k * CHUNK
+            for e in range(first, end_of_chunk(first, window_ptr[b + 1], shared)):
                 cx = transport(x[e], t[e], motion_x, origin_x, inverse_scale)
                 cy = transport(y[e], t[e], motion_y, origin_y, inverse_scale)
                 # written so that it is false for NaN
@@ -61,8 +64,9 @@ def make_deposit_events(dtype, shared: bool, alone: bool):
 
 def deposit_events(x, y, t, weight, window_ptr, motion, frame, deposit_out) -> None:
     """Launch; accumulates.  Float atomics on GPUs: sums repeat to a tolerance there, not bit for bit."""
-    kernel = make_deposit_events(float_of(x), *owners(x, window_ptr))
-    launch(kernel, x, y, t, weight, window_ptr, motion, frame, events_a_thread(x), deposit_out)
+    threads = owners(x, window_ptr)
+    kernel = make_deposit_events(float_of(x), *threads)
+    launch(kernel, x, y, t, weight, window_ptr, motion, frame, chunks_of(x, *threads), deposit_out)
 
 
 @cache

@@ -70,6 +70,18 @@ def is_alone(array) -> bool:
     return is_on_cpu(array) and array.shape[0] == 1
 
 
+LEAST_INDICES = 512
+"""Indices of a loop that Taichi gives one thread of a CPU, at least, however much work each is."""
+
+
+def indices_of_window(alone: bool) -> int:
+    """Choose how many indices of a loop a window has; all but the first are idle.
+
+    A loop with one index a window would do hundreds of windows on one thread.
+    """
+    return 1 if alone else LEAST_INDICES
+
+
 LONGEST_RUN = 64
 """Neighbours in memory that a kernel takes together, at most."""
 

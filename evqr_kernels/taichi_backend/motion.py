@@ -2,7 +2,15 @@
 
 from functools import cache
 
-from evqr_kernels.taichi_backend.language import array, float_of, is_alone, row_of_plane, run_at, ti
+from evqr_kernels.taichi_backend.language import (
+    array,
+    float_of,
+    indices_of_window,
+    is_alone,
+    row_of_plane,
+    run_at,
+    ti,
+)
 from evqr_kernels.taichi_backend.launches import launch
 
 BLOCK = 16
@@ -136,6 +144,7 @@ def motion_correlation(
 @cache
 def make_surface_peak(dtype, alone: bool):
     """Build the search for the peak; one thread per surface, a few thousand multiply-adds."""
+    indices = indices_of_window(alone)
 
     @ti.kernel
     def surface_peak(
@@ -146,7 +155,9 @@ def make_surface_peak(dtype, alone: bool):
         peak_out: array(dtype, 2),
     ):
         ti.loop_config(serialize=alone)
-        for b in range(surface.shape[0]):
+        for b, idle in ti.ndrange(surface.shape[0], indices):
+            if idle > 0:
+                continue
             size = surface.shape[1]
             for j in range(size):
                 for i in range(size):

@@ -3,7 +3,7 @@
 import math
 from functools import cache
 
-from evqr_kernels.taichi_backend.language import array, float_of, is_alone, ti
+from evqr_kernels.taichi_backend.language import array, float_of, indices_of_window, is_alone, ti
 from evqr_kernels.taichi_backend.launches import launch
 from evqr_kernels.taichi_backend.transcendental import make_atan2, make_log
 
@@ -86,6 +86,7 @@ def local_maxima(response, angle, least: float, cell: float, size: float, turn: 
 @cache
 def make_merge_maxima(dtype, alone: bool):
     """Build the merging; one thread per window, which has a few hundred maxima to look through."""
+    indices = indices_of_window(alone)
     log = make_log(dtype)
 
     @ti.kernel
@@ -98,7 +99,9 @@ def make_merge_maxima(dtype, alone: bool):
         peaks_out: array(dtype, 3),
     ):
         ti.loop_config(serialize=alone)
-        for b in range(maxima.shape[0]):
+        for b, idle in ti.ndrange(maxima.shape[0], indices):
+            if idle > 0:
+                continue
             count = 0
             for k in range(maxima.shape[1]):
                 if maxima[b, k, 0] != dtype(0.0):

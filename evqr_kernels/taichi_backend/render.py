@@ -123,24 +123,28 @@ def make_profile(dtype, taps: int):
 
 @cache
 def make_row_of_nodes(dtype, taps: int):
-    """Build the look-up of ``taps`` nodes of a row, which may lie beyond the grid."""
+    """Build the look-up of ``taps`` nodes of a row, some beyond the grid unless all are ``within``."""
 
     @ti.func
-    def row_of_nodes(grid: ti.template(), beyond, b, j, i):
+    def row_of_nodes(grid: ti.template(), within, beyond, b, j, i):
         nodes = ti.Vector([beyond for _ in range(taps)])
-        columns = grid.shape[2]
-        if j >= 0 and j < grid.shape[1]:
-            if i >= 0 and i + taps <= columns:
-                at = run_at(row_of(grid, b, j) + i)
-                for k in ti.static(range(taps)):
-                    nodes[k] = grid[0, 0, at + k]
-            else:
-                for k in ti.static(range(taps)):
-                    if i + k >= 0 and i + k < columns:
-                        nodes[k] = grid[b, j, i + k]
+        if within:
+            at = run_at(row_of(grid, b, j) + i)
+            for k in ti.static(range(taps)):
+                nodes[k] = grid[0, 0, at + k]
+        elif j >= 0 and j < grid.shape[1]:
+            for k in ti.static(range(taps)):
+                if i + k >= 0 and i + k < grid.shape[2]:
+                    nodes[k] = grid[b, j, i + k]
         return nodes
 
     return row_of_nodes
+
+
+@ti.func
+def all_within(grid: ti.template(), j, i, taps: ti.template()):
+    """Tell whether all nodes that a pixel sees are of the grid."""
+    return j >= 0 and i >= 0 and j + taps <= grid.shape[1] and i + taps <= grid.shape[2]
 
 
 @cache
@@ -171,9 +175,14 @@ def make_render_code(dtype, parameters: int, taps: int):
                 if near(u, v, inverse_depth, reach, rows, columns):
                     i, share_u, _slope_u = profile(u, sigma)
                     j, share_v, _slope_v = profile(v, sigma)
+                    within = all_within(grid, j, i, taps)
                     value = dtype(0.0)
-                    for k in range(taps):
-                        value += share_v[k] * share_u.dot(row_of_nodes(grid, beyond, b, j + k, i))
+                    if ti.static(taps == 2):
+                        for k in ti.static(range(taps)):
+                            value += share_v[k] * share_u.dot(row_of_nodes(grid, within, beyond, b, j + k, i))
+                    else:  # unrolled it would take minutes to compile
+                        for k in range(taps):
+                            value += share_v[k] * share_u.dot(row_of_nodes(grid, within, beyond, b, j + k, i))
                 image_out[b, y, x] = value
 
     return render_code

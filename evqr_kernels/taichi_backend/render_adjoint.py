@@ -6,9 +6,19 @@ from the pixels that can see it.
 
 from functools import cache
 
-from evqr_kernels.taichi_backend.language import array, float_of, is_alone, is_on_cpu, row_of, run_at, ti
+from evqr_kernels.taichi_backend.language import (
+    array,
+    float_of,
+    indices_of_window,
+    is_alone,
+    is_on_cpu,
+    row_of,
+    run_at,
+    ti,
+)
 from evqr_kernels.taichi_backend.launches import launch
 from evqr_kernels.taichi_backend.render import (
+    all_within,
     make_edge,
     make_look,
     make_near,
@@ -23,20 +33,18 @@ from evqr_kernels.taichi_backend.sums import add_partials
 
 @cache
 def make_add_to_row(taps: int):
-    """Build the addition to ``taps`` nodes of a row, which may lie beyond the grid; none else adds there."""
+    """Build the addition to ``taps`` nodes of a row, as `make_row_of_nodes`; no other thread adds there."""
 
     @ti.func
-    def add_to_row(grid: ti.template(), b, j, i, values):
-        columns = grid.shape[2]
-        if j >= 0 and j < grid.shape[1]:
-            if i >= 0 and i + taps <= columns:
-                at = run_at(row_of(grid, b, j) + i)
-                for k in ti.static(range(taps)):
-                    grid[0, 0, at + k] = grid[0, 0, at + k] + values[k]
-            else:
-                for k in ti.static(range(taps)):
-                    if i + k >= 0 and i + k < columns:
-                        grid[b, j, i + k] = grid[b, j, i + k] + values[k]
+    def add_to_row(grid: ti.template(), within, b, j, i, values):
+        if within:
+            at = run_at(row_of(grid, b, j) + i)
+            for k in ti.static(range(taps)):
+                grid[0, 0, at + k] = grid[0, 0, at + k] + values[k]
+        elif j >= 0 and j < grid.shape[1]:
+            for k in ti.static(range(taps)):
+                if i + k >= 0 and i + k < grid.shape[2]:
+                    grid[b, j, i + k] = grid[b, j, i + k] + values[k]
 
     return add_to_row
 
@@ -54,6 +62,7 @@ def make_adjoint_of_row(dtype, parameters: int, taps: int, scatter: bool):
     def of_nodes(
         grid: ti.template(),
         adj_grid_out: ti.template(),
+        within,
         beyond,
         adj,
         b,
@@ -65,9 +74,9 @@ def make_adjoint_of_row(dtype, parameters: int, taps: int, scatter: bool):
         slope,
     ):
         """Give what a row of nodes adds to the pixel's slopes; what the pixel adds to them is added there."""
-        nodes = row_of_nodes(grid, beyond, b, j, i)
+        nodes = row_of_nodes(grid, within, beyond, b, j, i)
         if ti.static(scatter):
-            add_to_row(adj_grid_out, b, j, i, (adj * share) * share_u)
+            add_to_row(adj_grid_out, within, b, j, i, (adj * share) * share_u)
         return share * slope_u.dot(nodes), slope * share_u.dot(nodes)
 
     @ti.func
@@ -93,6 +102,7 @@ def make_adjoint_of_row(dtype, parameters: int, taps: int, scatter: bool):
             if near(u, v, inverse_depth, reach, rows, columns):
                 i, share_u, slope_u = profile(u, sigma)
                 j, share_v, slope_v = profile(v, sigma)
+                within = all_within(grid, j, i, taps)
                 adj = adj_image[b, y, x]
                 adj_u = dtype(0.0)
                 adj_v = dtype(0.0)
@@ -101,6 +111,7 @@ def make_adjoint_of_row(dtype, parameters: int, taps: int, scatter: bool):
                         change_u, change_v = of_nodes(
                             grid,
                             adj_grid_out,
+                            within,
                             beyond,
                             adj,
                             b,
@@ -118,6 +129,7 @@ def make_adjoint_of_row(dtype, parameters: int, taps: int, scatter: bool):
                         change_u, change_v = of_nodes(
                             grid,
                             adj_grid_out,
+                            within,
                             beyond,
                             adj,
                             b,
@@ -172,6 +184,7 @@ def make_adjoint_of_rows(dtype, parameters: int, taps: int):
 @cache
 def make_adjoint_of_windows(dtype, parameters: int, taps: int, alone: bool):
     """Build the adjoint in map and grid; one thread per window."""
+    indices = indices_of_window(alone)
     adjoint_of_row = make_adjoint_of_row(dtype, parameters, taps, True)
 
     @ti.kernel
@@ -186,7 +199,9 @@ def make_adjoint_of_windows(dtype, parameters: int, taps: int, alone: bool):
         adj_grid_out: array(dtype, 3),
     ):
         ti.loop_config(serialize=alone)
-        for b in range(adj_image.shape[0]):
+        for b, idle in ti.ndrange(adj_image.shape[0], indices):
+            if idle > 0:
+                continue
             for j in range(adj_grid_out.shape[1]):
                 for i in range(adj_grid_out.shape[2]):
                     adj_grid_out[b, j, i] = dtype(0.0)

@@ -2,7 +2,7 @@
 
 from functools import cache
 
-from evqr_kernels.taichi_backend.language import array, block_of, float_of, row_of, run_at, ti
+from evqr_kernels.taichi_backend.language import GPU_BLOCK, array, block_of, float_of, row_of, run_at, ti
 from evqr_kernels.taichi_backend.launches import launch
 from evqr_kernels.taichi_backend.sums import add_partials
 
@@ -82,7 +82,8 @@ def beyond(adj: ti.template(), b, y, x):
 
 @cache
 def make_brightness_residual_adjoint(dtype):
-    """Build the adjoint kernel; one thread per row."""
+    """Build the adjoint kernel; one thread per row, in blocks whose sums a CPU too has the registers for."""
+    block = GPU_BLOCK
     slopes = make_slopes(dtype)
 
     @ti.kernel
@@ -94,9 +95,47 @@ def make_brightness_residual_adjoint(dtype):
         adj_luminance_out: array(dtype, 3),
     ):
         for b, y in ti.ndrange(luminance.shape[0], luminance.shape[1]):
-            adj_x = dtype(0.0)
-            adj_y = dtype(0.0)
-            for x in range(luminance.shape[2]):
+            half_x = dtype(0.5) * motion[b, 0]
+            from_above = dtype(0.5) * motion[b, 1]
+            from_below = -from_above
+            width = luminance.shape[2]
+            row = row_of(luminance, b, y)
+            above = row - width
+            below = row + width
+            if y == 0:
+                above = row
+                from_above = -from_above
+            if y == luminance.shape[1] - 1:
+                below = row
+                from_below = -from_below
+            sums_x = ti.Vector.zero(dtype, block)
+            sums_y = ti.Vector.zero(dtype, block)
+            blocks = ti.max(width - 2, 0) // block
+            for k in range(blocks):
+                x = 1 + block * k
+                at = run_at(row + x - 1)
+                here = run_at(row + x)
+                up = run_at(above + x)
+                down = run_at(below + x)
+                value = ti.Vector.zero(dtype, block)
+                for p in ti.static(range(block)):
+                    along_y = (
+                        from_above * adj_residual[0, 0, up + p] + from_below * adj_residual[0, 0, down + p]
+                    )
+                    value[p] = (
+                        half_x * (adj_residual[0, 0, at + p] - adj_residual[0, 0, at + p + 2]) + along_y
+                    )
+                for p in ti.static(range(block)):
+                    adj_luminance_out[0, 0, here + p] = value[p]
+                adj = ti.Vector([adj_residual[0, 0, here + p] for p in range(block)])
+                for p in ti.static(range(block)):
+                    sums_x[p] += adj[p] * (luminance[0, 0, at + p + 2] - luminance[0, 0, at + p])
+                for p in ti.static(range(block)):
+                    sums_y[p] += adj[p] * (luminance[0, 0, down + p] - luminance[0, 0, up + p])
+            adj_x = dtype(0.5) * sums_x.sum()
+            adj_y = dtype(0.5) * sums_y.sum()
+            for k in range(width - block * blocks):  # the first pixel, and the last ones
+                x = ti.select(k == 0, 0, block * blocks + k)
                 dx, dy = slopes(luminance, b, y, x)
                 adj_x += adj_residual[b, y, x] * dx
                 adj_y += adj_residual[b, y, x] * dy

@@ -6,7 +6,7 @@ and an iteration is two launches elsewhere.
 
 from functools import cache
 
-from evqr_kernels.taichi_backend.language import array, float_of, is_alone, is_on_cpu, ti
+from evqr_kernels.taichi_backend.language import array, float_of, indices_of_window, is_alone, is_on_cpu, ti
 from evqr_kernels.taichi_backend.launches import launch
 
 
@@ -29,6 +29,7 @@ def make_stencil_at(dtype):
 @cache
 def make_solve_windows(dtype, alone: bool):
     """Build the whole solution; one thread per window."""
+    indices = indices_of_window(alone)
     stencil_at = make_stencil_at(dtype)
 
     @ti.kernel
@@ -46,7 +47,9 @@ def make_solve_windows(dtype, alone: bool):
         iterations_out: array(ti.i32, 1),
     ):
         ti.loop_config(serialize=alone)
-        for b in range(rhs.shape[0]):
+        for b, idle in ti.ndrange(rhs.shape[0], indices):
+            if idle > 0:
+                continue
             rows = free.shape[0]
             columns = free.shape[1]
             norm = dtype(0.0)

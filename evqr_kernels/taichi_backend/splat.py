@@ -3,7 +3,15 @@
 from functools import cache
 
 from evqr_kernels.config import SplatConfig
-from evqr_kernels.taichi_backend.language import array, float_of, is_on_cpu, ti
+from evqr_kernels.taichi_backend.language import (
+    array,
+    float_of,
+    indices_of_window,
+    is_on_cpu,
+    row_of,
+    run_at,
+    ti,
+)
 from evqr_kernels.taichi_backend.launches import launch
 from evqr_kernels.taichi_backend.transcendental import make_exp
 from evqr_kernels.taichi_backend.transport import make_middle, make_transport, make_velocity
@@ -26,15 +34,42 @@ def make_add(shared: bool):
     return add
 
 
-def events_a_thread(x) -> int:
-    """Choose how many events of a window a thread takes: on the CPU all, so that the window has one owner."""
-    return max(x.shape[0], 1) if is_on_cpu(x) else CHUNK
+@cache
+def make_add_run(length: int, shared: bool):
+    """Build the addition of a vector to neighbours in memory, `run_at` the index."""
+
+    @ti.func
+    def add_run(image: ti.template(), at, values):
+        if ti.static(shared):
+            for k in ti.static(range(length)):
+                image[0, 0, at + k] += values[k]  # atomic
+        else:
+            for k in ti.static(range(length)):
+                values[k] += image[0, 0, at + k]
+            for k in ti.static(range(length)):
+                image[0, 0, at + k] = values[k]
+
+    return add_run
 
 
 def owners(x, window_ptr) -> tuple[bool, bool]:
-    """Tell whether windows have several threads each, and whether there is one thread in all."""
+    """Tell whether windows have several threads each, and whether there is one thread in all.
+
+    On the CPU a thread takes all of a window's events, so that the window has one owner.
+    """
     on_cpu = is_on_cpu(x)
     return not on_cpu, on_cpu and window_ptr.shape[0] == 2
+
+
+def chunks_of(x, shared: bool, alone: bool) -> int:
+    """Choose how many indices of a loop a window has: a chunk of events each, or all of them the first."""
+    return -(-x.shape[0] // CHUNK) if shared else indices_of_window(alone)
+
+
+@ti.func
+def end_of_chunk(first, end, shared: ti.template()):
+    """Give where a thread's events end that begin at ``first``, of a window's that end at ``end``."""
+    return ti.min(first + CHUNK, end) if ti.static(shared) else end
 
 
 @cache
@@ -49,15 +84,18 @@ def make_bin_events(dtype, shared: bool, alone: bool):
         weight: array(dtype, 1),
         window_ptr: array(ti.i32, 1),
         inverse_reduction: dtype,
-        chunk: ti.i32,
+        chunks: ti.i32,
         image_out: array(dtype, 3),
     ):
         ti.loop_config(serialize=alone)
-        for b, k in ti.ndrange(image_out.shape[0], (x.shape[0] + chunk - 1) // chunk):
+        for b, k in ti.ndrange(image_out.shape[0], chunks):
+            if ti.static(not shared):
+                if k > 0:
+                    continue
             right = dtype(image_out.shape[2])
             bottom = dtype(image_out.shape[1])
-            first = window_ptr[b] + k * chunk
-            for e in range(first, ti.min(first + chunk, window_ptr[b + 1])):
+            first = window_ptr[b] + k * CHUNK
+            for e in range(first, end_of_chunk(first, window_ptr[b + 1], shared)):
                 column = (x[e] + dtype(0.5)) * inverse_reduction
                 row = (y[e] + dtype(0.5)) * inverse_reduction
                 # written so that it is false for NaN
@@ -69,8 +107,9 @@ def make_bin_events(dtype, shared: bool, alone: bool):
 
 def bin_events(x, y, weight, window_ptr, reduction: float, image_out) -> None:
     """Launch; accumulates.  Float atomics on GPUs: sums repeat to a tolerance there, not bit for bit."""
-    kernel = make_bin_events(float_of(x), *owners(x, window_ptr))
-    launch(kernel, x, y, weight, window_ptr, 1.0 / reduction, events_a_thread(x), image_out)
+    threads = owners(x, window_ptr)
+    kernel = make_bin_events(float_of(x), *threads)
+    launch(kernel, x, y, weight, window_ptr, 1.0 / reduction, chunks_of(x, *threads), image_out)
 
 
 @cache
@@ -116,9 +155,10 @@ def make_splat_taps(dtype, cfg: SplatConfig):
 @cache
 def make_splat_events(dtype, cfg: SplatConfig, parameters: int, shared: bool, alone: bool):
     """Build the kernel for a precision, a splat and a motion; one thread per (window, chunk)."""
-    add = make_add(shared)
     reach = cfg.reach
     taps = 2 * reach + 1
+    add = make_add(shared)
+    add_run = make_add_run(taps, shared)
     margin = float(taps)
     splat_taps = make_splat_taps(dtype, cfg)
     transport = make_transport(dtype)
@@ -135,11 +175,14 @@ def make_splat_events(dtype, cfg: SplatConfig, parameters: int, shared: bool, al
         motion: array(dtype, 2),
         lag: array(dtype, 2),
         frame: array(dtype, 2),
-        chunk: ti.i32,
+        chunks: ti.i32,
         image_out: array(dtype, 3),
     ):
         ti.loop_config(serialize=alone)
-        for b, k in ti.ndrange(image_out.shape[0], (x.shape[0] + chunk - 1) // chunk):
+        for b, k in ti.ndrange(image_out.shape[0], chunks):
+            if ti.static(not shared):
+                if k > 0:
+                    continue
             scale = frame[b, 2]
             inverse_scale = dtype(1.0) / scale
             origin_x = frame[b, 0]
@@ -150,8 +193,8 @@ def make_splat_events(dtype, cfg: SplatConfig, parameters: int, shared: bool, al
             width = image_out.shape[2]
             middle_x = middle(origin_x, scale, width)
             middle_y = middle(origin_y, scale, height)
-            first = window_ptr[b] + k * chunk
-            for e in range(first, ti.min(first + chunk, window_ptr[b + 1])):
+            first = window_ptr[b] + k * CHUNK
+            for e in range(first, end_of_chunk(first, window_ptr[b + 1], shared)):
                 motion_x, motion_y = velocity(motion, b, x[e] - middle_x, y[e] - middle_y)
                 cx = transport(x[e], t[e], motion_x, origin_x, inverse_scale)
                 cy = transport(y[e], t[e], motion_y, origin_y, inverse_scale)
@@ -173,18 +216,23 @@ def make_splat_events(dtype, cfg: SplatConfig, parameters: int, shared: bool, al
                     _gauss_y, gy, sy = splat_taps(cy - dtype(row))
                     along = w * (gx - (lag_px * motion_x) * sx)
                     across = (-w * lag_px * motion_y) * gx
-                    for j in range(ti.max(row - reach, 0), ti.min(row + reach + 1, height)):
-                        g = gy[j - row + reach]
-                        s = sy[j - row + reach]
-                        for i in ti.static(range(taps)):
-                            at = column + i - reach
-                            if at >= 0 and at < width:
-                                add(image_out, ti.Vector([b, j, at]), g * along[i] + s * across[i])
+                    if row >= reach and column >= reach and row < height - reach and column < width - reach:
+                        corner = row_of(image_out, b, row - reach) + column - reach
+                        for j in range(taps):
+                            add_run(image_out, run_at(corner + j * width), gy[j] * along + sy[j] * across)
+                    else:
+                        for j in range(ti.max(row - reach, 0), ti.min(row + reach + 1, height)):
+                            values = gy[j - row + reach] * along + sy[j - row + reach] * across
+                            for i in ti.static(range(taps)):
+                                at = column + i - reach
+                                if at >= 0 and at < width:
+                                    add(image_out, ti.Vector([b, j, at]), values[i])
 
     return splat_events
 
 
 def splat_events(x, y, t, weight, window_ptr, motion, lag, frame, image_out, cfg: SplatConfig) -> None:
     """Launch; accumulates.  Float atomics on GPUs: sums repeat to a tolerance there, not bit for bit."""
-    kernel = make_splat_events(float_of(x), cfg, motion.shape[1], *owners(x, window_ptr))
-    launch(kernel, x, y, t, weight, window_ptr, motion, lag, frame, events_a_thread(x), image_out)
+    threads = owners(x, window_ptr)
+    kernel = make_splat_events(float_of(x), cfg, motion.shape[1], *threads)
+    launch(kernel, x, y, t, weight, window_ptr, motion, lag, frame, chunks_of(x, *threads), image_out)

@@ -3,7 +3,7 @@
 from functools import cache
 
 from evqr_kernels.config import SplatConfig
-from evqr_kernels.taichi_backend.language import array, float_of, ti
+from evqr_kernels.taichi_backend.language import array, float_of, row_of, run_at, ti
 from evqr_kernels.taichi_backend.launches import launch
 from evqr_kernels.taichi_backend.splat import make_splat_taps
 from evqr_kernels.taichi_backend.sums import add_partials
@@ -24,12 +24,11 @@ def make_splat_curvature(dtype, cfg: SplatConfig):
         for k in ti.static(range(taps)):
             r = dtype(float(k - reach)) - offset
             q = dtype(1.0) - r * r * dtype(inverse_radius_sq)
-            if q > dtype(0.0):
-                rate = q * dtype(inverse_variance) + dtype(4.0 * inverse_radius_sq)
-                bend = dtype(2.0 * inverse_variance) * q + dtype(4.0 * inverse_radius_sq)
-                second = (r * r * dtype(inverse_variance) - dtype(1.0)) * q * rate
-                second += dtype(2.0 * inverse_radius_sq) * r * r * bend
-                curvature[k] = gauss[k] * second
+            rate = q * dtype(inverse_variance) + dtype(4.0 * inverse_radius_sq)
+            bend = dtype(2.0 * inverse_variance) * q + dtype(4.0 * inverse_radius_sq)
+            second = (r * r * dtype(inverse_variance) - dtype(1.0)) * q * rate
+            second += dtype(2.0 * inverse_radius_sq) * r * r * bend
+            curvature[k] = ti.select(q > dtype(0.0), gauss[k] * second, dtype(0.0))
         return curvature
 
     return splat_curvature
@@ -70,6 +69,8 @@ def make_splat_events_adjoint(dtype, cfg: SplatConfig, parameters: int):
             origin_x = frame[window, 0]
             origin_y = frame[window, 1]
             scale = frame[window, 2]
+            lag_on = lag[window, 0]
+            lag_off = lag[window, 1]
             inverse_scale = dtype(1.0) / scale
             middle_x = middle(origin_x, scale, width)
             middle_y = middle(origin_y, scale, height)
@@ -96,16 +97,25 @@ def make_splat_events_adjoint(dtype, cfg: SplatConfig, parameters: int):
                     by_g = ti.Vector.zero(dtype, taps)
                     by_s = ti.Vector.zero(dtype, taps)
                     by_c = ti.Vector.zero(dtype, taps)
-                    for j in ti.static(range(taps)):
-                        if row + j - reach >= 0 and row + j - reach < height:
+                    if row >= reach and column >= reach and row < height - reach and column < width - reach:
+                        corner = row_of(adj_image, window, row - reach) + column - reach
+                        for j in range(taps):
+                            at = run_at(corner + j * width)
+                            values = ti.Vector([adj_image[0, 0, at + i] for i in range(taps)])
+                            by_g += g[j] * values
+                            by_s += s[j] * values
+                            by_c += c[j] * values
+                    else:
+                        for j in range(ti.max(reach - row, 0), ti.min(height - row + reach, taps)):
                             for i in ti.static(range(taps)):
-                                if column + i - reach >= 0 and column + i - reach < width:
-                                    value = adj_image[window, row + j - reach, column + i - reach]
+                                at = column + i - reach
+                                if at >= 0 and at < width:
+                                    value = adj_image[window, row + j - reach, at]
                                     by_g[i] += g[j] * value
                                     by_s[i] += s[j] * value
                                     by_c[i] += c[j] * value
                     w = weight[e]
-                    lag_px = ti.select(w < dtype(0.0), lag[window, 1], lag[window, 0])
+                    lag_px = ti.select(w < dtype(0.0), lag_off, lag_on)
                     speed = ti.sqrt(motion_x * motion_x + motion_y * motion_y)
                     if speed > dtype(0.0):
                         lag_px /= speed

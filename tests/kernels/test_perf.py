@@ -12,6 +12,7 @@ import pytest
 
 sys.path.insert(0, str(Path(__file__).parents[2] / "perf"))
 
+import op_times
 import ops
 import peers
 import table
@@ -97,6 +98,18 @@ def test_everyone_is_measured_every_round():
     rounds = [calls[k : k + 3] for k in range(0, 12, 3)]
     assert all(sorted(order) == list("abc") for order in rounds)
     assert len({tuple(order) for order in rounds}) > 1
+
+
+def test_rounds_beside_other_work_do_not_count():
+    rounds = [{"control": 1.1}, {"control": 1.98}, {"control": 1.5}]
+    assert op_times.undisturbed(rounds) == rounds[1:2]
+
+
+def test_a_result_is_named_after_commit_and_case(tmp_path, monkeypatch):
+    monkeypatch.setattr(table, "__file__", str(tmp_path / "table.py"))
+    path = table.save("cuda:0", {"commit": "abc"}, [], "operations", "threads")
+    assert path.parent == tmp_path / "results" / "cuda-0"
+    assert path.name.endswith("-abc-operations-threads.csv")
 
 
 def test_rows_are_judged_printed_and_compared(tmp_path):

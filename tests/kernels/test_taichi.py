@@ -19,9 +19,10 @@ runtime = pytest.importorskip("evqr_kernels.taichi_backend.runtime", exc_type=Im
 KERNEL_TESTS = Path(__file__).parent
 
 
-def run(code):
+def run(code, **variables):
     command = [sys.executable, "-W", "error", "-c", code]
-    environment = {**os.environ, "TI_SKIP_VERSION_CHECK": "ON"}  # Taichi asks its makers once a week
+    # Taichi asks its makers once a week
+    environment = {**os.environ, "TI_SKIP_VERSION_CHECK": "ON", **variables}
     done = subprocess.run(command, capture_output=True, text=True, timeout=120, check=False, env=environment)
     assert done.returncode == 0, done.stderr
     return done.stdout
@@ -61,6 +62,28 @@ assert field.to_numpy().tolist() == [7.0] * 3
 assert ti.cfg.cpu_max_num_threads == 1
 """
     run(START + code)
+
+
+@pytest.mark.skipif(not Path("/proc/self/task").exists(), reason="the system does not list threads")
+def test_two_windows_are_done_by_two_threads():
+    """Taichi gives a thread hundreds of a loop's indices, so that windows must not be as many as those."""
+    code = """
+import os
+def ticks():
+    threads = sorted(set(os.listdir("/proc/self/task")) - {str(os.getpid())})
+    stats = (open(f"/proc/self/task/{thread}/stat").read() for thread in threads)
+    return np.array([int(stat.rsplit(")", 1)[1].split()[11]) for stat in stats])
+def splat(n):
+    x = np.linspace(0, 99, 2 * n, dtype=np.float32)
+    window_ptr = np.array([0, n, 2 * n], np.int32)
+    splat_events(x, x, 0 * x, x, window_ptr, np.zeros((2, 2), np.float32), shape=(100, 100), backend="taichi")
+splat(1)
+before = ticks()
+splat(2_000_000)
+print(np.count_nonzero(ticks() - before > 2))
+"""
+    out = run("from evqr_kernels import splat_events\n" + START + code, TI_CPU_MAX_NUM_THREADS="2")
+    assert int(out) == 2
 
 
 def test_a_runtime_on_another_device_is_refused(vulkan):
