@@ -152,10 +152,14 @@ def test_table1_refuses(tiny, tmp_path, options, message):
 def test_dataset_make_from_the_command_line(tmp_path, monkeypatch):
     from evqr.dataset import scenes
 
-    few = list(scenes.scenes(most_windows=13))[:1]
-    monkeypatch.setattr(scenes, "scenes", lambda **options: iter(few))
-    done = run("dataset", "make", tmp_path / "qrecd")
+    real = scenes.scenes
+    monkeypatch.setattr(scenes, "scenes", lambda **options: list(real(**options))[:1])
+    done = run(
+        "dataset", "make", tmp_path / "qrecd", "--windows", 13, "--text", "ELSE", "--text", "B", "--seed", 9
+    )
     assert done.exception is None and "1 scenes" in done.output
+    assert load_manifest(tmp_path / "qrecd")[0].text == "ELSE"
+    assert "| `ELSE` | 13 | 9 |" in (tmp_path / "qrecd" / "README.md").read_text()
 
 
 def test_help_names_the_commands():
