@@ -22,10 +22,12 @@ from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from string import ascii_lowercase
 
+from evqr.codewords import ErrorLevel
 from evqr.errors import UsageError
 from evqr.simulate.config import PRESETS, CodePlacement, SceneConfig, SensorConfig
 
-VERSION, LEVEL = 2, "H"
+VERSION = 2
+LEVEL: ErrorLevel = "H"
 ANGLES = (0, 30, 45)
 TEXTS = ("QRECD-A: CODE IN", "QRECD-B: ON RAILS")
 

@@ -9,12 +9,14 @@ from collections.abc import Sequence
 from dataclasses import asdict, dataclass
 from typing import Any
 
+import numpy as np
+
 from evqr.baselines.registry import METHODS
 from evqr.evaluate.cell import CellResult
-from evqr.evaluate.metrics import Score, binned
+from evqr.evaluate.metrics import FEW_WRONG, Score, binned
 from evqr.evaluate.paper import Printed, printed
 
-TIMES = ("seconds_to_read", "seconds")
+TIMES = ("seconds_to_read", "median_seconds_to_read", "seconds")
 """Columns that differ from run to run; all others are the same wherever a cell is computed."""
 
 
@@ -45,14 +47,18 @@ class Line:
         return {**record, **{f"paper_{name}": value for name, value in paper.items()}}
 
 
-def table_of(results: Sequence[CellResult]) -> list[Line]:
-    """Make the table: scenes in the order they come, methods in the paper's, then angles."""
+def ordered(results: Sequence[CellResult]) -> list[CellResult]:
+    """Order results: scenes as they come, methods as in the paper, then angles."""
     scenes = list(dict.fromkeys(result.entry.scene for result in results))
     methods = list(METHODS)
-    ordered = sorted(
+    return sorted(
         results,
         key=lambda r: (scenes.index(r.entry.scene), methods.index(r.cell.method), r.entry.angle),
     )
+
+
+def table_of(results: Sequence[CellResult]) -> list[Line]:
+    """Make the table, in order."""
     return [
         Line(
             scene=result.entry.scene,
@@ -62,7 +68,7 @@ def table_of(results: Sequence[CellResult]) -> list[Line]:
             score=result.score,
             printed=printed(result.entry.scene, result.cell.method, result.entry.angle),
         )
-        for result in ordered
+        for result in ordered(results)
     ]
 
 
@@ -70,6 +76,7 @@ COLUMNS = (
     ("N", "trials", "d", 1),
     ("mode acc. [%]", "mode_accuracy", ".1f", 100),
     ("time to read [s]", "seconds_to_read", ".3g", 1),
+    ("median time [s]", "median_seconds_to_read", ".3g", 1),
     ("iterations to read", "iterations_to_read", ".3g", 1),
     ("max acc. [%]", "max_accuracy", ".1f", 100),
     ("read rate [%]", "read_rate", ".1f", 100),
@@ -140,6 +147,52 @@ def events_of(results: Sequence[CellResult]) -> str:
         return ""
     rows.insert(1, ["---"] * len(rows[0]))
     told = "Read, of all windows, by a window's events on the code over the edges between its modules:"
+    return f"{told}\n\n" + "".join(f"| {' | '.join(row)} |\n" for row in rows)
+
+
+def descents_of(results: Sequence[CellResult]) -> str:
+    """Tabulate where the paper's method started and its iterations, in Markdown; "" without such cells.
+
+    Iterations are medians for the first step, means over the trials that have them for the second.
+    """
+    rows = [
+        [
+            "scene",
+            "deg.",
+            "started as the paper does, of N",
+            "as the solver does",
+            "not at all",
+            "iterations of m and W",
+            "of q, until it reads",
+            f"until {FEW_WRONG} of its codewords are wrong",
+            "the paper's",
+        ],
+        ["---"] * 9,
+    ]
+    for line, result in zip(table_of(results), ordered(results), strict=True):
+        trials = result.trials
+        starts = [trial.start for trial in trials if trial.start is not None]
+        if not starts:
+            continue
+        first = [trial.pose_iterations for trial in trials if trial.pose_iterations is not None]
+        few = [trial.iterations_to_few for trial in trials if trial.iterations_to_few is not None]
+        counts = [starts.count("paper"), starts.count("solver"), len(trials) - len(starts)]
+        paper = line.printed.iterations_to_read if line.printed else None
+        rows.append(
+            [
+                line.scene,
+                f"{line.angle:g}",
+                f"{counts[0]} of {len(trials)}",
+                *(str(count) for count in counts[1:]),
+                _text(float(np.median(first)) if first else None, ".3g", 1),
+                _text(line.score.iterations_to_read, ".3g", 1),
+                _text(float(np.mean(few)) if few else None, ".3g", 1) + f" ({len(few)} trials)",
+                _text(paper, ".3g", 1),
+            ]
+        )
+    if len(rows) == 2:
+        return ""
+    told = "The paper's method, its start and its iterations:"
     return f"{told}\n\n" + "".join(f"| {' | '.join(row)} |\n" for row in rows)
 
 

@@ -17,7 +17,7 @@ from evqr.evaluate.figures import figures_of
 from evqr.evaluate.metrics import Trial
 from evqr.evaluate.paper import printed
 from evqr.evaluate.report import About, write_report
-from evqr.evaluate.table import csv_of, markdown_of, rows_of, table_of
+from evqr.evaluate.table import csv_of, descents_of, markdown_of, rows_of, table_of
 
 
 def made_up(tiny, method, *, wrong=0, **changes):
@@ -71,11 +71,29 @@ def test_the_table_is_in_the_paper_s_order_with_its_numbers_beside(results):
     assert [(line.method, line.angle) for line in lines] == [("descent", 0), ("descent", 30), ("evqr", 30)]
     rows = rows_of(lines)
     assert rows[1][3:6] == ["2 (150)", "100.0 (99.2)", "0.25 (0.75)"]
-    assert rows[2][8] == "0.0 (96.7)" and rows[3][8] == "100.0" and rows[2][5] == "- (0.34)"
+    assert rows[2][9] == "0.0 (96.7)" and rows[3][9] == "100.0" and rows[2][5] == "- (0.34)"
+    assert rows[0][6] == "median time [s]" and rows[1][6] == "0.25" and rows[2][6] == "-"
     markdown = markdown_of(lines).splitlines()
     assert markdown[2].startswith("| faster | Ours (the paper's) | 0 |") and markdown[3].startswith(
         "|  |  | 30 |"
     )
+
+
+def test_the_paper_s_method_in_detail(tiny, results):
+    assert descents_of(results) == ""
+    descent = made_up(tiny, "descent", scene="faster")
+    first, second = descent.trials
+    descent = replace(
+        descent,
+        trials=(
+            replace(first, start="paper", pose_iterations=10, iterations_to_few=4),
+            replace(second, start="solver", pose_iterations=20),
+            replace(second, modules=None, start=None),
+        ),
+    )
+    table = descents_of([descent, results[0]]).splitlines()
+    assert len(table) == 5
+    assert table[-1] == "| faster | 30 | 1 of 3 | 1 | 1 | 15 | 3 | 4 (1 trials) | 6.04 |"
 
 
 def test_csv_has_a_column_a_number(results):
