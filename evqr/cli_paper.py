@@ -148,8 +148,8 @@ def table1(
     from tqdm import tqdm
 
     from evqr.evaluate.cell import Cell, run_cells
+    from evqr.evaluate.details import SINGLE
     from evqr.evaluate.report import About, write_report
-    from evqr.evaluate.table import SINGLE
     from evqr.picture import figure_class
 
     figure_class()  # before the work is done

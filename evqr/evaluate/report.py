@@ -14,8 +14,9 @@ from typing import TYPE_CHECKING
 
 from evqr.dataset.manifest import write_atomically
 from evqr.evaluate.cell import CellResult, source
+from evqr.evaluate.details import Details, details_of
 from evqr.evaluate.figures import figures_of
-from evqr.evaluate.table import Line, csv_of, descents_of, events_of, markdown_of, rows_of, table_of
+from evqr.evaluate.table import Line, csv_of, markdown_of, rows_of, table_of
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -81,16 +82,21 @@ def write_report(
     lines = table_of(table)
     facts = _facts(table, about)
     told = "".join(f"- {name}: {value}\n" for name, value in facts.items())
-    more = [part for part in (descents_of(table), events_of([*table, *sweep])) if part]
+    details = details_of(table, sweep)
     written = {
-        "table1.md": "\n".join([f"# Table 1\n\n{told}\n{markdown_of(lines)}\n{NOTES.strip()}\n", *more]),
+        "table1.md": "\n".join(
+            [
+                f"# Table 1\n\n{told}\n{markdown_of(lines)}\n{NOTES.strip()}\n",
+                *(part.markdown for part in details),
+            ]
+        ),
         "table1.csv": csv_of(lines),
         "table1.json": json.dumps({"about": facts, "lines": [line.record() for line in lines]}, indent=1)
         + "\n",
     }
     figures = figures_of(table, sweep)
     pictures = {name: _png(figure) for name, figure in figures.items()}
-    written["report.html"] = _html(lines, facts, pictures)
+    written["report.html"] = _html(lines, details, facts, pictures)
     for name, text in written.items():
         write_atomically(folder / name, text)
     for name, png in pictures.items():
@@ -115,7 +121,12 @@ def _png(figure: Figure) -> bytes:
     return file.getvalue()
 
 
-def _html(lines: Sequence[Line], facts: Mapping[str, str], pictures: Mapping[str, bytes]) -> str:
+def _html(
+    lines: Sequence[Line],
+    details: Sequence[Details],
+    facts: Mapping[str, str],
+    pictures: Mapping[str, bytes],
+) -> str:
     parts = [
         "<!doctype html><html lang=en><meta charset=utf-8><title>evqr: Table 1</title>",
         f"<style>{_STYLE}</style><h1>Table 1</h1>",
@@ -127,6 +138,7 @@ def _html(lines: Sequence[Line], facts: Mapping[str, str], pictures: Mapping[str
         "</ul>",
         _html_table(lines),
         _html_notes(),
+        *(_html_details(part) for part in details),
     ]
     for name, png in pictures.items():
         data = base64.b64encode(png).decode("ascii")
@@ -148,6 +160,15 @@ def _html_table(lines: Sequence[Line]) -> str:
         cells = "".join(f"<td>{_grey(html.escape(cell))}</td>" for cell in row)
         body.append(f'<tr class="{" ".join(kinds)}">{cells}</tr>')
     return f"<table><tr>{head}</tr>{''.join(body)}</table>"
+
+
+def _html_details(details: Details) -> str:
+    head, *body = (
+        "".join(f"<{tag}>{html.escape(cell)}</{tag}>" for cell in row)
+        for tag, row in zip(["th", *["td"] * len(details.rows)], details.rows, strict=False)
+    )
+    rows = "".join(f"<tr>{row}</tr>" for row in body)
+    return f"<p>{html.escape(details.told)}</p><table><tr>{head}</tr>{rows}</table>"
 
 
 def _grey(cell: str) -> str:

@@ -4,16 +4,13 @@ from __future__ import annotations
 
 import csv
 import io
-import itertools
 from collections.abc import Sequence
 from dataclasses import asdict, dataclass
 from typing import Any
 
-import numpy as np
-
 from evqr.baselines.registry import METHODS
 from evqr.evaluate.cell import CellResult
-from evqr.evaluate.metrics import FEW_WRONG, Score, binned
+from evqr.evaluate.metrics import Score
 from evqr.evaluate.paper import Printed, printed
 
 TIMES = ("seconds_to_read", "median_seconds_to_read", "seconds")
@@ -94,13 +91,14 @@ def rows_of(lines: Sequence[Line]) -> list[list[str]]:
     for line in lines:
         rows.append([line.scene, line.title, f"{line.angle:g}"])
         for _, name, form, factor in COLUMNS:
-            ours = _text(getattr(line.score, name), form, factor)
-            paper = _text(getattr(line.printed, name, None), "g", 1) if line.printed else "-"
+            ours = text_of(getattr(line.score, name), form, factor)
+            paper = text_of(getattr(line.printed, name, None), "g", 1) if line.printed else "-"
             rows[-1].append(ours if paper == "-" else f"{ours} ({paper})")
     return rows
 
 
-def _text(value: float | None, form: str, factor: float) -> str:
+def text_of(value: float | None, form: str, factor: float) -> str:
+    """Write a number, "-" where there is none."""
     return "-" if value is None else format(factor * value, form)
 
 
@@ -114,86 +112,6 @@ def markdown_of(lines: Sequence[Line]) -> str:
         before = row[:2]
         shown.append([*fresh, *row[2:]])
     return "".join(f"| {' | '.join(row)} |\n" for row in shown)
-
-
-EDGE_BOUNDS = (0, 1, 2, 3, 4, 6, 8, 12, 16, 24, 32, 48)
-"""Events per module edge: bounds of the intervals."""
-
-SINGLE = ("without_qr", "descent", "evqr", "evqr_no_lag", "integrate")
-"""Methods that take one window, so that its events are all they have."""
-
-
-def events_of(results: Sequence[CellResult]) -> str:
-    """Tabulate read rate against events per module edge, in Markdown; "" where no cell knows its events."""
-    rows = [["events per edge", *(f"{a} to {b}" for a, b in itertools.pairwise(EDGE_BOUNDS))]]
-    for method in SINGLE:
-        trials = [
-            (trial.events_per_edge, float(trial.text == result.truth.text))
-            for result in results
-            if result.cell.method == method
-            for trial in result.trials
-            if trial.events_per_edge is not None
-        ]
-        if trials:
-            bins = {
-                b.low: b for b in binned([e for e, _ in trials], [read for _, read in trials], EDGE_BOUNDS)
-            }
-            cells = [
-                f"{100 * bins[a].value:.0f} % of {bins[a].count}" if a in bins else "-"
-                for a in EDGE_BOUNDS[:-1]
-            ]
-            rows.append([METHODS[method].title, *cells])
-    if len(rows) == 1:
-        return ""
-    rows.insert(1, ["---"] * len(rows[0]))
-    told = "Read, of all windows, by a window's events on the code over the edges between its modules:"
-    return f"{told}\n\n" + "".join(f"| {' | '.join(row)} |\n" for row in rows)
-
-
-def descents_of(results: Sequence[CellResult]) -> str:
-    """Tabulate where the paper's method started and its iterations, in Markdown; "" without such cells.
-
-    Iterations are medians for the first step, means over the trials that have them for the second.
-    """
-    rows = [
-        [
-            "scene",
-            "deg.",
-            "started as the paper does, of N",
-            "as the solver does",
-            "not at all",
-            "iterations of m and W",
-            "of q, until it reads",
-            f"until {FEW_WRONG} of its codewords are wrong",
-            "the paper's",
-        ],
-        ["---"] * 9,
-    ]
-    for line, result in zip(table_of(results), ordered(results), strict=True):
-        trials = result.trials
-        starts = [trial.start for trial in trials if trial.start is not None]
-        if not starts:
-            continue
-        first = [trial.pose_iterations for trial in trials if trial.pose_iterations is not None]
-        few = [trial.iterations_to_few for trial in trials if trial.iterations_to_few is not None]
-        counts = [starts.count("paper"), starts.count("solver"), len(trials) - len(starts)]
-        paper = line.printed.iterations_to_read if line.printed else None
-        rows.append(
-            [
-                line.scene,
-                f"{line.angle:g}",
-                f"{counts[0]} of {len(trials)}",
-                *(str(count) for count in counts[1:]),
-                _text(float(np.median(first)) if first else None, ".3g", 1),
-                _text(line.score.iterations_to_read, ".3g", 1),
-                _text(float(np.mean(few)) if few else None, ".3g", 1) + f" ({len(few)} trials)",
-                _text(paper, ".3g", 1),
-            ]
-        )
-    if len(rows) == 2:
-        return ""
-    told = "The paper's method, its start and its iterations:"
-    return f"{told}\n\n" + "".join(f"| {' | '.join(row)} |\n" for row in rows)
 
 
 def csv_of(lines: Sequence[Line]) -> str:

@@ -13,11 +13,12 @@ from click.testing import CliRunner
 from evqr import cli
 from evqr.dataset.manifest import load_manifest
 from evqr.evaluate.cell import Cell, CellResult
+from evqr.evaluate.details import details_of
 from evqr.evaluate.figures import figures_of
 from evqr.evaluate.metrics import Trial
 from evqr.evaluate.paper import printed
 from evqr.evaluate.report import About, write_report
-from evqr.evaluate.table import csv_of, descents_of, markdown_of, rows_of, table_of
+from evqr.evaluate.table import csv_of, markdown_of, rows_of, table_of
 
 
 def made_up(tiny, method, *, wrong=0, **changes):
@@ -80,7 +81,7 @@ def test_the_table_is_in_the_paper_s_order_with_its_numbers_beside(results):
 
 
 def test_the_paper_s_method_in_detail(tiny, results):
-    assert descents_of(results) == ""
+    assert [part.rows[0][0] for part in details_of(results, [])] == ["events per edge"]
     descent = made_up(tiny, "descent", scene="faster")
     first, second = descent.trials
     descent = replace(
@@ -91,9 +92,9 @@ def test_the_paper_s_method_in_detail(tiny, results):
             replace(second, modules=None, start=None),
         ),
     )
-    table = descents_of([descent, results[0]]).splitlines()
-    assert len(table) == 5
-    assert table[-1] == "| faster | 30 | 1 of 3 | 1 | 1 | 15 | 3 | 4 (1 trials) | 6.04 |"
+    table, _ = details_of([descent, results[0]], [])
+    assert table.rows[1:] == [["faster", "30", "3", "1", "1", "1", "15", "3", "6.04", "4", "1"]]
+    assert table.markdown.splitlines()[-1] == "| faster | 30 | 3 | 1 | 1 | 1 | 15 | 3 | 6.04 | 4 | 1 |"
 
 
 def test_csv_has_a_column_a_number(results):
@@ -132,6 +133,7 @@ def test_the_report_holds_its_pictures(results, tmp_path):
     assert told["about"]["command"] == "evqr table1" and len(told["lines"]) == 3
     markdown = (tmp_path / "table1.md").read_text()
     assert "| faster |" in markdown
+    assert page.count("<table>") == 2 and "<th>events per edge</th>" in page and "<td>50 % of 4</td>" in page
     # two windows each, with 5 events an edge
     assert re.search(r"evqr, each window alone \| - \| - \| - \| - \| 100 % of 2 \|", markdown)
     assert re.search(r"Ours \(the paper's\) \| - \| - \| - \| - \| 50 % of 4 \|", markdown)
