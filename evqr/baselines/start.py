@@ -3,7 +3,7 @@
 - *motion*: the events of an edge lie in a plane of space-time, and the motion common to all edges lies in all
   of these planes.  The smallest principal component of the events in a small part of the view is the normal
   of its plane; the motion is what comes closest to being at right angles to all normals.  PCA of all events
-  at once, the other reading of the paper, finds the extent of the code: it is wrong by more than the motion.
+  at once, the other reading, finds the extent of the code, and is wrong by as much as the motion and more.
 - *pattern*: six edges at distances 1:1:3:1:1 with events of alternating sign (Figure 5, right), in the image
   of the events transported by that motion.  Along rows if the motion is nearer to them, else along columns:
   edges along the motion have no events.  A line through a finder's centre shows the pattern at any angle.
@@ -42,10 +42,10 @@ EDGES = Pattern(
     )[:-1],
     3.9,
 )
-"""Signs of the events of a finder along its motion: the light on its far side covers the dark first."""
+"""The events of a finder along its motion, from the edge that trails: there light takes the place of dark."""
 
 CLIP = 3.0
-"""Standard deviations at which the image is clipped: pixels that always fire."""
+"""Standard deviations at which the image is clipped, for the sake of pixels that always fire."""
 
 BLUR_MODULES, SAMPLES_A_MODULE = 0.25, 3
 """Of the known modules with which triples are compared."""
@@ -79,7 +79,7 @@ def principal_motion(window: Window) -> NDArray[np.float64] | None:
     # as far as it is a plane, and no ball
     weight = count * (1.0 - spread[:, 0] / np.maximum(spread[:, 1], 1e-9))
     common = np.einsum("k,ki,kj->ij", weight, normal, normal)
-    pull = PULL * np.trace(common[:2, :2]) * np.eye(2)
+    pull = (PULL * np.trace(common[:2, :2]) + 1e-12) * np.eye(2)
     return -TILE_PX * np.linalg.solve(common[:2, :2] + pull, common[:2, 2])
 
 

@@ -2,11 +2,12 @@
 
     cost = sum over pixels of |grad L . m + E|^2 + lambda |grad L|^2
 
-over the luminance L of each pixel and the motion m, by gradient descent, with lambda = 0.2.  What the
-text leaves open is resolved as for the paper's own method (`evqr.baselines.descent`): the first motion comes
-from `estimate_motion`, the cost is divided by its largest curvature, |m|^2 + 8 lambda, so that a rate of 1 is
-stable, and the events are splatted anew for each motion but held in its derivative.  Besides:
+over the luminance L of each pixel and the motion m, by gradient descent, with lambda = 0.2.  What the text
+leaves open is resolved as for the paper's own method (`evqr.baselines.descent`): the cost is divided by its
+largest curvature, |m|^2 + 8 lambda, so that a rate of 1 is stable, and the events are splatted anew for each
+motion but held in its derivative.  Besides:
 
+- the first motion comes from `estimate_motion`;
 - the first luminance is 0;
 - a sum over all pixels has no size of its own to stop at: the descent has converged where a step is smaller
   than ``tolerance`` of the luminance it has reached.

@@ -71,6 +71,15 @@ def test_parallel_edges_tell_what_they_can_and_no_more():
     np.testing.assert_allclose(motion, [3.0, 0.0], atol=0.4)
 
 
+def test_light_that_is_switched_tells_no_motion():
+    x, y = np.meshgrid(np.arange(40), np.arange(40))
+    t = np.full(1600, 700)
+    events = EventArray(
+        t, x.ravel().astype(np.uint16), y.ravel().astype(np.uint16), np.ones(1600, np.int8), 40, 40
+    )
+    np.testing.assert_array_equal(principal_motion(Window(events, 500, 1500)), 0.0)
+
+
 def test_few_events_tell_no_motion():
     window, _, _ = passing(30.0)
     assert principal_motion(window.keep(np.arange(len(window)) < 10)) is None
