@@ -25,7 +25,13 @@ def dataset() -> None:
     """Make the paper's data set again."""
 
 
-@dataset.command(epilog=examples("evqr dataset make qrecd", "sha256sum -c SHA256SUMS    # in that folder"))
+@dataset.command(
+    epilog=examples(
+        "evqr dataset make qrecd",
+        "evqr dataset make others --seed 100 --text 'LOT 4711'",
+        "sha256sum -c SHA256SUMS    # in that folder",
+    )
+)
 @click.argument("folder", metavar="DIR", type=click.Path(path_type=Path, file_okay=False))
 @click.option("--jobs", type=click.IntRange(min=1), default=1, metavar="N", help="Scenes made at a time.")
 @click.option(
@@ -34,7 +40,22 @@ def dataset() -> None:
     metavar="N",
     help="Simulate only so many windows around the middle of each passage; default: the whole passage.",
 )
-def make(folder: Path, jobs: int, windows: int | None) -> int:
+@click.option(
+    "--text",
+    "texts",
+    multiple=True,
+    metavar="TEXT",
+    help="Text of the codes, up to what version 2-H holds; default: two texts.  May be repeated.",
+)
+@click.option(
+    "--seed",
+    type=click.IntRange(min=0),
+    default=1,
+    show_default=True,
+    metavar="N",
+    help="Of texture and noise of the first scene; the others' follow.",
+)
+def make(folder: Path, jobs: int, windows: int | None, texts: tuple[str, ...], seed: int) -> int:
     """Make 18 scenes with truth, a manifest, a card and checksums.
 
     Three kinds of scene (faster train, slower train, simulator) at three angles with two texts.  What is
@@ -44,9 +65,9 @@ def make(folder: Path, jobs: int, windows: int | None) -> int:
     from tqdm import tqdm
 
     from evqr.dataset.make import make_dataset
-    from evqr.dataset.scenes import scenes
+    from evqr.dataset.scenes import TEXTS, scenes
 
-    specs = list(scenes(most_windows=windows))
+    specs = list(scenes(most_windows=windows, texts=texts or TEXTS, seed=seed))
     with process_pool(jobs) as pool, tqdm(total=len(specs), unit=" scene", leave=False, disable=None) as bar:
         make_dataset(folder, specs, executor=pool, progress=lambda _: bar.update())
     size = sum(path.stat().st_size for path in folder.iterdir())
@@ -127,8 +148,8 @@ def table1(
     from tqdm import tqdm
 
     from evqr.evaluate.cell import Cell, run_cells
+    from evqr.evaluate.details import SINGLE
     from evqr.evaluate.report import About, write_report
-    from evqr.evaluate.table import SINGLE
     from evqr.picture import figure_class
 
     figure_class()  # before the work is done

@@ -8,7 +8,8 @@ Bardow, Davison, Leutenegger, "Simultaneous Optical Flow and Intensity Estimatio
 
 where h is zero up to the threshold: a pixel that is silent has changed by less.  The optical-flow term is
 linearised, and the cost is minimised by the preconditioned primal-dual method of Pock and Chambolle (2011).
-The paper runs it with the weights of its authors, K = 128 slices of the length of its own windows.
+The paper runs it with its authors' weights and K = 128 slices of the length of its own windows.  The weights
+here are from memory of that text and not checked against it: no public code was found that repeats them.
 
 Where it is made to end on a CPU, and what the texts leave open:
 
@@ -42,7 +43,7 @@ class BardowConfig:
     Attributes
     ----------
     slices           K
-    weights          lambda_1 to lambda_5, as their authors give them
+    weights          lambda_1 to lambda_5, see above
     threshold        theta, of an event [log units]
     reduction        pixels a side that make one
     relinearise      iterations between two linearisations of the flow term

@@ -6,9 +6,9 @@ in two steps (section 3.5): first the motion m and the map W, with q fixed where
 it, then q.  E is the image of the events, transported by m and splatted as Gaussians (section 3.3), L is
 bilinear (equation 5).  Rates and thresholds are those of section 4.2.  Where the paper leaves a choice open:
 
-- *start*: motion and pose are those that the solver's stage one starts from: `estimate_motion`, and three
-  finder patterns of its search, not refined.  The paper's own start (principal components, rows and columns
-  matched to 1:1:3:1:1) fits few windows, so this is to the method's favour.
+- *start*: principal components in space-time and 1:1:3:1:1 along rows or columns, as `evqr.baselines.start`
+  reads the paper.  Where that finds no code, and the paper does not say what then, the start is the solver's:
+  `estimate_motion`, and three finder patterns of its search, not refined, to the method's favour.
 - *version*: told, as in the paper, whose r is given.
 - *units*: m is the displacement over the window [px]; W maps image coordinates, centred on the code and
   divided by half its side, to modules.  The rates are stable only for a cost divided by its largest curvature
@@ -20,8 +20,13 @@ bilinear (equation 5).  Rates and thresholds are those of section 4.2.  Where th
 - *grad L*: central differences of the image: the exact slope of a bilinear image has no second derivative.
 - *pixels* of the first step: those whose L, neighbours included, is made of known modules only.
 - *outside*: the quiet zone is known too, and light: it anchors rows of modules along the motion.
-- *unknown modules* start at 0, and known ones stay fixed in the second step.
-- *iterations* to read are those of the second step; time to read is of both, and of the search.
+- *unknown modules* start at 0, and known ones stay fixed in the second step.  From all light or all dark the
+  steps are below the paper's threshold before any code reads.
+- *iterations* to read are those of the second step; time to read is of both, and of the search.  They are
+  fewer than the paper's.  From 0 the first iterate is along the derivative at 0, whatever the rate, and on
+  good sensors its signs read at 30 and 45 degrees: our decoder uses all check codewords, and erasures.  The
+  paper takes a code for readable with up to about five wrong codewords (section 4.1); the table says how many
+  iterations it takes until then, too.
 """
 
 from __future__ import annotations
@@ -34,6 +39,7 @@ import numpy as np
 from numpy.typing import DTypeLike, NDArray
 
 from evqr.baselines.method import Outcome, Watch, unwatched
+from evqr.baselines.start import find_pose, principal_motion
 from evqr.codespace import code_space, size_of
 from evqr.decode import Decoded, decode_grid
 from evqr.initial.finder import find_hypotheses
@@ -54,6 +60,9 @@ BILINEAR = 0.0
 MARGIN_PX = 4.0
 """Image around the quiet zone [px]."""
 
+Start = Literal["paper", "solver"]
+"""Where a first motion and pose come from: `evqr.baselines.start`, or the solver's own search."""
+
 
 @dataclass(frozen=True, kw_only=True)
 class DescentConfig:
@@ -68,6 +77,7 @@ class DescentConfig:
     code_tolerance   size of a step of q below which the second step has converged
     max_iterations   of either step
     shown_iterations of the second step that a watch is shown at least, converged or not
+    starts           tried one after another until one finds a code
     """
 
     epsilon_px: float = 0.8
@@ -77,6 +87,7 @@ class DescentConfig:
     code_tolerance: float = 5.0
     max_iterations: int = 300
     shown_iterations: int = 40
+    starts: tuple[Start, ...] = ("paper", "solver")
 
 
 @dataclass(frozen=True, eq=False)
@@ -117,12 +128,23 @@ class Descent:
 
     def read(self, seen: Window, watch: Watch) -> Outcome:
         """Find the code, then take both steps; the second goes on while the watch wants to see more."""
-        start = self.start(seen)
-        if start is None:
-            return Outcome(converged=False)
-        cfg = self.cfg
-        problem = Problem(seen, *start, self.version, cfg.epsilon_px, workspace=self._solver.workspace)
-        motion, affine, _ = descend_pose(problem, cfg)
+        for name in self.cfg.starts:
+            start = self.from_paper(seen) if name == "paper" else self.from_solver(seen)
+            if start is not None:
+                return self._descend(seen, *start, watch, name)
+        return Outcome(converged=False)
+
+    def _descend(
+        self,
+        seen: Window,
+        velocity: NDArray[np.float64],
+        pose: NDArray[np.float64],
+        watch: Watch,
+        name: Start,
+    ) -> Outcome:
+        cfg, workspace = self.cfg, self._solver.workspace
+        problem = Problem(seen, velocity, pose, self.version, cfg.epsilon_px, workspace=workspace)
+        motion, affine, pose_iterations = descend_pose(problem, cfg)
         q, iterations = descend_code(problem, motion, affine, cfg, watch)
         outcome = decode_grid(q, effort="full")
         return Outcome(
@@ -130,10 +152,26 @@ class Descent:
             pose=problem.pose_of(affine),
             text=outcome.text if isinstance(outcome, Decoded) else None,
             converged=iterations < cfg.max_iterations,
+            start=name,
+            pose_iterations=pose_iterations,
         )
 
-    def start(self, window: Window) -> tuple[NDArray[np.float64], NDArray[np.float64]] | None:
-        """Give a first velocity [px/s] and pose (3, 3), None where three finder patterns are not found."""
+    def from_paper(self, window: Window) -> tuple[NDArray[np.float64], NDArray[np.float64]] | None:
+        """Give a first velocity [px/s] and pose (3, 3) as the paper does, None where it finds no code."""
+        motion = principal_motion(window)
+        if motion is None:
+            return None
+        pose = find_pose(
+            window,
+            motion,
+            self.version,
+            epsilon_px=self.cfg.epsilon_px,
+            workspace=self._solver.workspace,
+        )
+        return None if pose is None else (motion / window.seconds, pose)
+
+    def from_solver(self, window: Window) -> tuple[NDArray[np.float64], NDArray[np.float64]] | None:
+        """Give those that the solver's stage one starts from, None where three patterns are not found."""
         solver = self._solver
         motion = solver.motion_in(window)
         if motion is None:

@@ -29,6 +29,8 @@ class Outcome:
     time_us                  time that the image or the modules are of [us]; None: the middle of what was seen
     windows                  windows of events that it needed, of those it was given
     confidence               that the text is right, 0 to 1; None where it does not say
+    start                    which of several starts it took; None: it has one, or none was found
+    pose_iterations          that it took before those that are watched; None: none
     """
 
     modules: NDArray[np.floating[Any]] | None = None
@@ -39,6 +41,8 @@ class Outcome:
     time_us: float | None = None
     windows: int = 1
     confidence: float | None = None
+    start: str | None = None
+    pose_iterations: int | None = None
 
 
 class Method(Protocol):

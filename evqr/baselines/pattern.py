@@ -11,6 +11,7 @@ image's own zero is arbitrary.
 from __future__ import annotations
 
 import functools
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
@@ -23,10 +24,26 @@ Image = NDArray[np.float32]
 SCALES_PX = tuple(3.2 * 1.14**k for k in range(10))
 """Lengths of the pattern's module tried, 3.2 to 10.4 px."""
 
-STRIPES = ((-4.5, 1.0), (-3.5, -1.0), (-2.5, 1.0), (-1.5, -1.0), (1.5, 1.0), (2.5, -1.0), (3.5, 1.0))
-"""Where each stripe of the pattern begins [modules from its centre], and its sign: light outside."""
 
-END = 4.5
+@dataclass(frozen=True)
+class Pattern:
+    """A one-dimensional kernel of stripes.
+
+    Attributes
+    ----------
+    stripes   where each begins [modules from the centre of the kernel], and its sign
+    end       where the last one ends; the first begins as far on the other side
+    """
+
+    stripes: tuple[tuple[float, float], ...]
+    end: float
+
+
+LIGHT = Pattern(
+    ((-4.5, 1.0), (-3.5, -1.0), (-2.5, 1.0), (-1.5, -1.0), (1.5, 1.0), (2.5, -1.0), (3.5, 1.0)), 4.5
+)
+"""The luminance of a finder, light outside: the paper's Figure 5, left."""
+
 STEP = 2
 """Distance between the places that are tried [px]; peaks are found to a fraction of it."""
 
@@ -51,7 +68,7 @@ def find_code(image: NDArray[Any], version: int) -> NDArray[np.float32] | None:
     image = np.asarray(image, np.float32)
     response, module, position = find_patterns(image)
     best, agreement = None, MIN_AGREEMENT
-    for pose in _triples(response, module, position, version):
+    for pose in triples_of(response, module, position, version):
         values = _sample(image, pose, code_space(version).size)
         if values is None:
             continue
@@ -79,17 +96,17 @@ def find_patterns(image: Image) -> tuple[NDArray[Any], NDArray[Any], NDArray[Any
     shape = tuple(-(-extent // STEP) for extent in image.shape)
     best, module = np.full(shape, -1.0, np.float32), np.zeros(shape, np.float32)
     for scale in SCALES_PX:
-        rows, columns = _along_rows(level, scale), _along_rows(turned, scale).T
+        rows, columns = along_rows(level, scale, LIGHT), along_rows(turned, scale, LIGHT).T
         # either direction is enough, but where both see a finder they agree about its centre
         found = np.maximum(rows, columns) + np.maximum(np.minimum(rows, columns), 0.0)
         better = found > best
         best[better] = found[better]
         module[better] = scale
-    return _peaks(best, module)
+    return peaks_of(best, module)
 
 
-def _along_rows(lines: Image, scale: float) -> Image:
-    """Normalised correlation of the pattern with every ``STEP``-th row, at every ``STEP``-th place of it.
+def along_rows(lines: Image, scale: float, pattern: Pattern) -> Image:
+    """Normalised correlation of a pattern with every ``STEP``-th row, at every ``STEP``-th place of it.
 
     Rows are means over a module; the result is -1 where the pattern does not fit in.
     """
@@ -97,7 +114,7 @@ def _along_rows(lines: Image, scale: float) -> Image:
     half = max(1, round(scale / 2))
     down = np.cumsum(np.pad(lines, ((half + 1, half), (0, 0)), mode="edge"), axis=0)
     means: Image = (down[2 * half + 1 :: STEP] - down[: -2 * half - 1 : STEP]) / np.float32(2 * half + 1)
-    reach = STEP * (int(np.ceil(END * scale)) // STEP + 1)
+    reach = STEP * (int(np.ceil(pattern.end * scale)) // STEP + 1)
     out = np.full((len(means), -(-width // STEP)), -1.0, np.float32)
     places = out[:, reach // STEP : (width - reach) // STEP]
     if not places.size:
@@ -116,22 +133,23 @@ def _along_rows(lines: Image, scale: float) -> Image:
         left, right = total[:, first : ends[0] : STEP], total[:, first + 1 : ends[1] : STEP]
         return (left + np.float32(at - whole) * (right - left)).astype(np.float32)
 
-    edges = [upto(sums, begin) for begin, _ in STRIPES] + [upto(sums, END)]
-    signs = np.array([sign for _, sign in STRIPES])
-    lengths = np.diff([begin for begin, _ in STRIPES] + [END])
-    weights = signs - float(signs @ lengths) / (2 * END)
+    begins, signs = zip(*pattern.stripes, strict=True)
+    edges = [upto(sums, begin) for begin in (*begins, pattern.end)]
+    lengths = np.diff([*begins, pattern.end])
+    extent = 2 * pattern.end
+    weights = np.array(signs) - float(np.array(signs) @ lengths) / extent
     product = -weights[0] * edges[0] + weights[-1] * edges[-1]
     for k in range(1, len(weights)):
         product += (weights[k - 1] - weights[k]) * edges[k]
     norm = np.sqrt(float(weights**2 @ lengths) * scale)
     total = edges[-1] - edges[0]
-    energy = upto(squares, END) - upto(squares, -END) - total * total / (2 * END * scale)
+    energy = upto(squares, pattern.end) - upto(squares, -pattern.end) - total * total / (extent * scale)
     # a floor: a faint ripple that happens to fit is no pattern
-    places[:] = product / (norm * np.sqrt(np.maximum(energy, 0.05 * 2 * END * scale)))
+    places[:] = product / (norm * np.sqrt(np.maximum(energy, 0.05 * extent * scale)))
     return out
 
 
-def _peaks(response: Image, module: Image) -> tuple[NDArray[Any], NDArray[Any], NDArray[Any]]:
+def peaks_of(response: Image, module: Image) -> tuple[NDArray[Any], NDArray[Any], NDArray[Any]]:
     """Local maxima, strongest first, none within two modules of a stronger one."""
     inner = response[1:-1, 1:-1]
     top = inner > MIN_RESPONSE
@@ -159,7 +177,7 @@ def _peaks(response: Image, module: Image) -> tuple[NDArray[Any], NDArray[Any], 
     return value, module[rows, columns], STEP * np.stack([x, y], axis=1).astype(np.float64)
 
 
-def _triples(
+def triples_of(
     response: NDArray[Any], module: NDArray[Any], position: NDArray[Any], version: int, *, most: int = 60
 ) -> list[NDArray[np.float64]]:
     """Poses (2, 3), modules to px, of the triples that could be a code, strongest first."""

@@ -22,6 +22,7 @@ class Row:
     options        of the class
     quick          options more, where a try is enough
     told_version   whether the class is told the version of the code, too
+    revision       raised when the method gives other results: its older cells are then computed again
     """
 
     title: str
@@ -29,6 +30,7 @@ class Row:
     options: Mapping[str, Any] = field(default_factory=dict)
     quick: Mapping[str, Any] = field(default_factory=dict)
     told_version: bool = False
+    revision: int = 0
 
 
 METHODS: Mapping[str, Row] = MappingProxyType(
@@ -37,7 +39,10 @@ METHODS: Mapping[str, Row] = MappingProxyType(
         "bardow": Row(title="Bardow et al.", target="evqr.baselines.bardow:Bardow", quick={"iterations": 12}),
         "without_qr": Row(title="w/o QR", target="evqr.baselines.without_qr:WithoutQr"),
         "descent": Row(
-            title="Ours (the paper's)", target="evqr.baselines.descent:Descent", told_version=True
+            title="Ours (the paper's)",
+            target="evqr.baselines.descent:Descent",
+            told_version=True,
+            revision=1,
         ),
         "evqr": Row(title="evqr, each window alone", target="evqr.baselines.own:Own"),
         "evqr_fused": Row(

@@ -2,11 +2,12 @@
 
     cost = sum over pixels of |grad L . m + E|^2 + lambda |grad L|^2
 
-over the luminance L of each pixel and the motion m, by gradient descent, with lambda = 0.2.  What the
-text leaves open is resolved as for the paper's own method (`evqr.baselines.descent`): the first motion comes
-from `estimate_motion`, the cost is divided by its largest curvature, |m|^2 + 8 lambda, so that a rate of 1 is
-stable, and the events are splatted anew for each motion but held in its derivative.  Besides:
+over the luminance L of each pixel and the motion m, by gradient descent, with lambda = 0.2.  What the text
+leaves open is resolved as for the paper's own method (`evqr.baselines.descent`): the cost is divided by its
+largest curvature, |m|^2 + 8 lambda, so that a rate of 1 is stable, and the events are splatted anew for each
+motion but held in its derivative.  Besides:
 
+- the first motion comes from `estimate_motion`;
 - the first luminance is 0;
 - a sum over all pixels has no size of its own to stop at: the descent has converged where a step is smaller
   than ``tolerance`` of the luminance it has reached.
@@ -20,13 +21,13 @@ from typing import Literal
 import numpy as np
 from numpy.typing import NDArray
 
+from evqr.baselines.events import event_image
 from evqr.baselines.method import Outcome, Watch
 from evqr.config import MotionConfig
 from evqr.initial.motion import estimate_motion
 from evqr.windows import Window
 from evqr.workspace import Workspace
 from evqr_kernels.backend import get_backend
-from evqr_kernels.config import SplatConfig
 
 Image = NDArray[np.float32]
 
@@ -78,7 +79,13 @@ class WithoutQr:
         luminance = np.zeros((seen.height, seen.width), np.float32)
         final: Image | None = None
         for iteration in range(1, cfg.max_iterations + 1):
-            events = self.splat(seen, motion)
+            events = event_image(
+                seen,
+                motion,
+                epsilon_px=cfg.epsilon_px,
+                workspace=self._workspace,
+                weight=cfg.threshold,
+            )
             step, adj_motion = descend(luminance, events, motion, cfg)
             luminance -= step
             motion = motion - cfg.motion_rate * adj_motion
@@ -89,26 +96,6 @@ class WithoutQr:
             if final is not None and enough:
                 break
         return Outcome(image=luminance if final is None else final, converged=final is not None)
-
-    def splat(self, window: Window, motion: NDArray[np.float64]) -> Image:
-        """Make E (Y, X): the window's events, transported by a motion [px per window]."""
-        space = self._workspace
-        image = space.buffer("without qr", (1, window.height, window.width))
-        space.get(image).fill(0.0)
-        space.backend.splat_events(
-            space.put(window.x),
-            space.put(window.y),
-            space.put(window.t / np.float32(window.seconds)),
-            space.put(np.float32(self.cfg.threshold) * window.p),
-            space.put(np.array([0, len(window)], np.int32)),
-            space.put(motion[None].astype(np.float32)),
-            space.put(np.zeros((1, 2), np.float32)),
-            space.put(np.array([[0.0, 0.0, 1.0]], np.float32)),
-            image,
-            SplatConfig(epsilon_px=self.cfg.epsilon_px),
-        )
-        space.backend.synchronize(space.device)
-        return space.get(image)[0]
 
 
 def descend(

@@ -19,6 +19,7 @@ from evqr.dataset.scenes import LEVEL, VERSION, SceneSpec
 from evqr.errors import RecordingError
 from evqr.recording.writing import save_recording
 from evqr.simulate import simulate_scene
+from evqr.simulate.symbol import make_symbol
 
 SUMS = "SHA256SUMS"
 
@@ -45,8 +46,11 @@ def make_dataset(
     Raises
     ------
     RecordingError   a file cannot be written
+    UsageError       a text does not fit its code
     """
     specs = list(specs)
+    for spec in specs:  # before an hour of work is done
+        make_symbol(*spec.scene.codes)
     try:
         folder.mkdir(parents=True, exist_ok=True)
         make = partial(make_scene, folder)

@@ -30,6 +30,7 @@ from evqr.types import EventArray
 from evqr.windows import Window, make_window
 
 if TYPE_CHECKING:
+    from evqr.codewords import ErrorLevel
     from evqr.recording import TimeUnit
 
 MANIFEST = "manifest.json"
@@ -61,7 +62,7 @@ class Entry:
     recording: str
     text: str
     version: int
-    level: str
+    level: ErrorLevel
     window_us: int
     mask: int | None = None
     modules: tuple[str, ...] | None = None

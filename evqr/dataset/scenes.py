@@ -18,12 +18,16 @@ What the paper does not say, and what is chosen here, with the paper's own rows 
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
+from string import ascii_lowercase
 
+from evqr.codewords import ErrorLevel
+from evqr.errors import UsageError
 from evqr.simulate.config import PRESETS, CodePlacement, SceneConfig, SensorConfig
 
-VERSION, LEVEL = 2, "H"
+VERSION = 2
+LEVEL: ErrorLevel = "H"
 ANGLES = (0, 30, 45)
 TEXTS = ("QRECD-A: CODE IN", "QRECD-B: ON RAILS")
 
@@ -110,6 +114,7 @@ class SceneSpec:
     kind
     angle     of the code against the direction of travel [deg]
     text
+    letter    of the text among those of the data set
     windows   simulated, around the middle of the passage; the kind's own number is the whole passage
     seed      of texture and noise
     """
@@ -117,14 +122,14 @@ class SceneSpec:
     kind: SceneKind
     angle: int
     text: str
+    letter: str
     windows: int
     seed: int
 
     @property
     def name(self) -> str:
         """Name of the scene and of its file."""
-        letter = "ab"[TEXTS.index(self.text)]
-        return f"{self.kind.name}-{self.angle:02d}-{letter}"
+        return f"{self.kind.name}-{self.angle:02d}-{self.letter}"
 
     @property
     def scene(self) -> SceneConfig:
@@ -144,17 +149,26 @@ class SceneSpec:
         )
 
 
-def scenes(*, most_windows: int | None = None) -> Iterator[SceneSpec]:
-    """Give the 18 scenes, the first text's first.
+def scenes(
+    *, most_windows: int | None = None, texts: Sequence[str] = TEXTS, seed: int = 1
+) -> Iterator[SceneSpec]:
+    """Give the scenes, nine a text, the first text's first.
 
     Parameters
     ----------
     most_windows   simulate no more windows than this; None: the whole passage
+    texts          up to 26
+    seed           of the first scene; those of the others follow
+
+    Raises
+    ------
+    UsageError   more texts than letters to name them by
     """
-    seed = 1
-    for text in TEXTS:
+    if len(texts) > len(ascii_lowercase):
+        raise UsageError(f"dataset: {len(texts)} texts are too many; give up to {len(ascii_lowercase)}")
+    for letter, text in zip(ascii_lowercase, texts, strict=False):
         for kind in KINDS:
             for angle in ANGLES:
                 windows = kind.windows if most_windows is None else min(kind.windows, most_windows)
-                yield SceneSpec(kind=kind, angle=angle, text=text, windows=windows, seed=seed)
+                yield SceneSpec(kind=kind, angle=angle, text=text, letter=letter, windows=windows, seed=seed)
                 seed += 1

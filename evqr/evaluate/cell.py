@@ -20,7 +20,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from evqr.baselines.method import Method
-from evqr.baselines.registry import make_method
+from evqr.baselines.registry import METHODS, make_method
 from evqr.dataset.manifest import Entry, Sequence, load_manifest, load_sequence, write_atomically
 from evqr.errors import UsageError
 from evqr.evaluate.metrics import Modules, Score, Trial, Truth, score
@@ -29,7 +29,7 @@ from evqr.evaluate.trial import run_trial
 from evqr.windows import Window
 
 EVALUATION = 2
-"""Raised when the same cell would come out otherwise: older files are then computed again."""
+"""Raised when cells would come out otherwise, whatever the method: older files are then computed again."""
 
 SEED = 20
 """Of the events that are left out where a cell keeps a share of them."""
@@ -172,7 +172,7 @@ def _seen(method: Method, sequence: Sequence, place: int, cell: Cell, rng: np.ra
 def _key(folder: Path, entry: Entry, cell: Cell) -> dict[str, Any]:
     """Give what a kept cell must agree in to be the one that is asked for."""
     told = {
-        "evaluation": EVALUATION,
+        "evaluation": EVALUATION + METHODS[cell.method].revision,
         "cell": asdict(cell),
         "entry": asdict(entry),
         "bytes": (folder / entry.recording).stat().st_size if (folder / entry.recording).is_file() else 0,

@@ -9,8 +9,8 @@ import numpy as np
 
 from evqr.baselines.registry import METHODS
 from evqr.evaluate.cell import CellResult
+from evqr.evaluate.details import EDGE_BOUNDS, SINGLE
 from evqr.evaluate.metrics import Trial, binned, calibration, mode_of
-from evqr.evaluate.table import EDGE_BOUNDS, SINGLE
 from evqr.picture import FALSE_DARK, FALSE_LIGHT, GREY, INK, figure_class
 
 if TYPE_CHECKING:

@@ -15,6 +15,9 @@ from numpy.typing import ArrayLike, NDArray
 
 Modules = NDArray[np.int8]
 
+FEW_WRONG = 5
+"""Wrong codewords up to which a code can be decoded, as the paper has it (section 4.1): about a tenth."""
+
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Trial:
@@ -34,6 +37,9 @@ class Trial:
     windows                 windows of events that it needed
     confidence              that its text is right, 0 to 1; None where it does not say
     events_per_edge         events it had, over the edges between the code's modules (`edges_of`)
+    start                   which of several starts it took; None: it has one, or none was found
+    pose_iterations         before the iterates that count; None: none
+    iterations_to_few       of its first iterate with up to `FEW_WRONG` wrong codewords; None: there is none
     """
 
     modules: Modules | None = None
@@ -48,6 +54,9 @@ class Trial:
     windows: int = 1
     confidence: float | None = None
     events_per_edge: float | None = None
+    start: str | None = None
+    pose_iterations: int | None = None
+    iterations_to_few: int | None = None
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -77,6 +86,7 @@ class Score:
     mode_accuracy       of the mode over the trials that converged
     max_accuracy        of the best iterate of the best trial
     seconds_to_read, iterations_to_read   means over the trials that read at some iterate
+    median_seconds_to_read                of the same trials
     read_rate           of the trials that converged (the paper's)
     yield_rate          of all trials
     image_read_rate     of all trials, from the image, by an ordinary decoder
@@ -91,6 +101,7 @@ class Score:
     max_accuracy: float | None
     seconds_to_read: float | None
     iterations_to_read: float | None
+    median_seconds_to_read: float | None
     read_rate: float | None
     yield_rate: float | None
     image_read_rate: float | None
@@ -146,6 +157,23 @@ def mean_to_read(trials: Sequence[Trial]) -> tuple[float | None, float | None]:
     return _mean(seconds), _mean(iterations)
 
 
+def median_to_read(trials: Sequence[Trial]) -> float | None:
+    """Median seconds to the first iterate that reads: being stopped for a while does not move it."""
+    seconds = [t.seconds_to_read for t in trials if t.seconds_to_read is not None]
+    return float(np.median(seconds)) if seconds else None
+
+
+def wrong_codewords(modules: Modules, truth: Truth, bits: NDArray[np.intp]) -> int:
+    """Count the codewords with a wrong bit.
+
+    Parameters
+    ----------
+    bits : (8 n,)   flat module index of each codeword's bits, `evqr.codewords.codeword_layout`
+    """
+    wrong = np.sign(modules.ravel()[bits]) != truth.modules.ravel()[bits]
+    return int(wrong.reshape(-1, 8).any(axis=1).sum())
+
+
 def read_rate(trials: Sequence[Trial], truth: Truth) -> float | None:
     """Share of the trials that converged which read the true text; 0 where none converged."""
     if not trials:
@@ -179,6 +207,7 @@ def score(trials: Sequence[Trial], truth: Truth) -> Score:
         max_accuracy=max_accuracy(trials),
         seconds_to_read=seconds_to_read,
         iterations_to_read=iterations_to_read,
+        median_seconds_to_read=median_to_read(trials),
         read_rate=read_rate(trials, truth),
         yield_rate=yield_rate(trials, truth),
         image_read_rate=image_read_rate(trials, truth),

@@ -4,17 +4,16 @@ from __future__ import annotations
 
 import csv
 import io
-import itertools
 from collections.abc import Sequence
 from dataclasses import asdict, dataclass
 from typing import Any
 
 from evqr.baselines.registry import METHODS
 from evqr.evaluate.cell import CellResult
-from evqr.evaluate.metrics import Score, binned
+from evqr.evaluate.metrics import Score
 from evqr.evaluate.paper import Printed, printed
 
-TIMES = ("seconds_to_read", "seconds")
+TIMES = ("seconds_to_read", "median_seconds_to_read", "seconds")
 """Columns that differ from run to run; all others are the same wherever a cell is computed."""
 
 
@@ -45,14 +44,18 @@ class Line:
         return {**record, **{f"paper_{name}": value for name, value in paper.items()}}
 
 
-def table_of(results: Sequence[CellResult]) -> list[Line]:
-    """Make the table: scenes in the order they come, methods in the paper's, then angles."""
+def ordered(results: Sequence[CellResult]) -> list[CellResult]:
+    """Order results: scenes as they come, methods as in the paper, then angles."""
     scenes = list(dict.fromkeys(result.entry.scene for result in results))
     methods = list(METHODS)
-    ordered = sorted(
+    return sorted(
         results,
         key=lambda r: (scenes.index(r.entry.scene), methods.index(r.cell.method), r.entry.angle),
     )
+
+
+def table_of(results: Sequence[CellResult]) -> list[Line]:
+    """Make the table, in order."""
     return [
         Line(
             scene=result.entry.scene,
@@ -62,7 +65,7 @@ def table_of(results: Sequence[CellResult]) -> list[Line]:
             score=result.score,
             printed=printed(result.entry.scene, result.cell.method, result.entry.angle),
         )
-        for result in ordered
+        for result in ordered(results)
     ]
 
 
@@ -70,6 +73,7 @@ COLUMNS = (
     ("N", "trials", "d", 1),
     ("mode acc. [%]", "mode_accuracy", ".1f", 100),
     ("time to read [s]", "seconds_to_read", ".3g", 1),
+    ("median time [s]", "median_seconds_to_read", ".3g", 1),
     ("iterations to read", "iterations_to_read", ".3g", 1),
     ("max acc. [%]", "max_accuracy", ".1f", 100),
     ("read rate [%]", "read_rate", ".1f", 100),
@@ -87,13 +91,14 @@ def rows_of(lines: Sequence[Line]) -> list[list[str]]:
     for line in lines:
         rows.append([line.scene, line.title, f"{line.angle:g}"])
         for _, name, form, factor in COLUMNS:
-            ours = _text(getattr(line.score, name), form, factor)
-            paper = _text(getattr(line.printed, name, None), "g", 1) if line.printed else "-"
+            ours = text_of(getattr(line.score, name), form, factor)
+            paper = text_of(getattr(line.printed, name, None), "g", 1) if line.printed else "-"
             rows[-1].append(ours if paper == "-" else f"{ours} ({paper})")
     return rows
 
 
-def _text(value: float | None, form: str, factor: float) -> str:
+def text_of(value: float | None, form: str, factor: float) -> str:
+    """Write a number, "-" where there is none."""
     return "-" if value is None else format(factor * value, form)
 
 
@@ -107,40 +112,6 @@ def markdown_of(lines: Sequence[Line]) -> str:
         before = row[:2]
         shown.append([*fresh, *row[2:]])
     return "".join(f"| {' | '.join(row)} |\n" for row in shown)
-
-
-EDGE_BOUNDS = (0, 1, 2, 3, 4, 6, 8, 12, 16, 24, 32, 48)
-"""Events per module edge: bounds of the intervals."""
-
-SINGLE = ("without_qr", "descent", "evqr", "evqr_no_lag", "integrate")
-"""Methods that take one window, so that its events are all they have."""
-
-
-def events_of(results: Sequence[CellResult]) -> str:
-    """Tabulate read rate against events per module edge, in Markdown; "" where no cell knows its events."""
-    rows = [["events per edge", *(f"{a} to {b}" for a, b in itertools.pairwise(EDGE_BOUNDS))]]
-    for method in SINGLE:
-        trials = [
-            (trial.events_per_edge, float(trial.text == result.truth.text))
-            for result in results
-            if result.cell.method == method
-            for trial in result.trials
-            if trial.events_per_edge is not None
-        ]
-        if trials:
-            bins = {
-                b.low: b for b in binned([e for e, _ in trials], [read for _, read in trials], EDGE_BOUNDS)
-            }
-            cells = [
-                f"{100 * bins[a].value:.0f} % of {bins[a].count}" if a in bins else "-"
-                for a in EDGE_BOUNDS[:-1]
-            ]
-            rows.append([METHODS[method].title, *cells])
-    if len(rows) == 1:
-        return ""
-    rows.insert(1, ["---"] * len(rows[0]))
-    told = "Read, of all windows, by a window's events on the code over the edges between its modules:"
-    return f"{told}\n\n" + "".join(f"| {' | '.join(row)} |\n" for row in rows)
 
 
 def csv_of(lines: Sequence[Line]) -> str:

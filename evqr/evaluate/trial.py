@@ -11,9 +11,18 @@ from numpy.typing import NDArray
 from evqr.baselines.integrate import decode, stretch
 from evqr.baselines.method import Method, Outcome
 from evqr.baselines.pattern import find_code
+from evqr.codewords import ErrorLevel, codeword_layout
 from evqr.dataset.manifest import Sequence
 from evqr.decode import Decoded, decode_grid
-from evqr.evaluate.metrics import Modules, Trial, Truth, bit_accuracy, edges_of
+from evqr.evaluate.metrics import (
+    FEW_WRONG,
+    Modules,
+    Trial,
+    Truth,
+    bit_accuracy,
+    edges_of,
+    wrong_codewords,
+)
 from evqr.windows import Window
 
 CONTRAST = 2.4
@@ -31,8 +40,9 @@ class Watcher:
     decoding this one iterate: one who knew when to look would need as long.
     """
 
-    def __init__(self, truth: Truth, version: int, *, matched: bool) -> None:
+    def __init__(self, truth: Truth, version: int, level: ErrorLevel, *, matched: bool) -> None:
         self._truth = truth
+        self._bits = codeword_layout(version, level).bits
         self._version = version
         self._matched = matched
         self._next = 1
@@ -40,6 +50,7 @@ class Watcher:
         self._started = time.perf_counter()
         self.best_accuracy: float | None = None
         self.iterations_to_read: int | None = None
+        self.iterations_to_few: int | None = None
         self.seconds_to_read: float | None = None
 
     @property
@@ -72,6 +83,9 @@ class Watcher:
             return
         accuracy = bit_accuracy(signs(modules), self._truth)
         self.best_accuracy = max(accuracy, self.best_accuracy or 0.0)
+        if self.iterations_to_few is None:
+            wrong = wrong_codewords(signs(modules), self._truth, self._bits)
+            self.iterations_to_few = iteration if wrong <= FEW_WRONG else None
         if self.iterations_to_read is None and text_of(modules) == self._truth.text:
             self.iterations_to_read = iteration
             self.seconds_to_read = seconds + time.perf_counter() - began
@@ -91,7 +105,7 @@ def text_of(modules: NDArray[Any]) -> str | None:
 def run_trial(method: Method, seen: Any, sequence: Sequence) -> tuple[Trial, Outcome]:
     """Let a method read a window or a frame of a recording."""
     truth, version = sequence.truth, sequence.entry.version
-    watcher = Watcher(truth, version, matched=method.matched)
+    watcher = Watcher(truth, version, sequence.entry.level, matched=method.matched)
     outcome = method.read(seen, watcher)
     seconds = watcher.seconds
     modules, text, image_text = outcome.modules, outcome.text, None
@@ -123,6 +137,9 @@ def run_trial(method: Method, seen: Any, sequence: Sequence) -> tuple[Trial, Out
         windows=outcome.windows,
         confidence=outcome.confidence,
         events_per_edge=events_per_edge(seen, sequence) if isinstance(seen, Window) else None,
+        start=outcome.start,
+        pose_iterations=outcome.pose_iterations,
+        iterations_to_few=watcher.iterations_to_few,
     ), outcome
 
 

@@ -39,6 +39,21 @@ def test_eighteen_scenes_with_the_paper_s_geometry():
     assert travel == pytest.approx({"faster": 2.9, "slower": 1.02, "simulator": 1.25})
 
 
+def test_scenes_of_other_texts_and_seeds():
+    specs = list(scenes(texts=("ONE", "TWO", "THREE"), seed=50))
+    assert [spec.seed for spec in specs] == list(range(50, 77))
+    assert [spec.text for spec in specs[::9]] == ["ONE", "TWO", "THREE"]
+    assert [spec.name for spec in specs[::9]] == ["faster-00-a", "faster-00-b", "faster-00-c"]
+    with pytest.raises(UsageError, match="27 texts are too many"):
+        list(scenes(texts=["X"] * 27))
+
+
+def test_a_text_that_does_not_fit_is_told_before_anything_is_made(tmp_path):
+    with pytest.raises(UsageError, match="does not fit version 2 at level H"):
+        make.make_dataset(tmp_path / "new", scenes(texts=("FITS", "x" * 15), most_windows=14))
+    assert not (tmp_path / "new").exists()
+
+
 @pytest.mark.parametrize("kind", KINDS, ids=lambda kind: kind.name)
 def test_the_code_stays_in_view(kind):
     widest = 25 * kind.module_px * np.sqrt(2.0)

@@ -89,6 +89,25 @@ def test_fewer_events_and_longer_windows(tiny, tmp_path):
     assert events[2] == pytest.approx(2.0 * events[0], rel=0.2)
 
 
+def test_a_method_that_was_revised_is_computed_again_and_others_are_not(tiny, tmp_path, monkeypatch):
+    both = [Cell(recording="belt-30", method=method, trials=1) for method in ("image", "integrate")]
+    run_cells(tiny, both, tmp_path)
+    revised = replace(cells_module.METHODS["image"], revision=7)
+    monkeypatch.setattr(cells_module, "METHODS", {**cells_module.METHODS, "image": revised})
+    computed = []
+    real = cells_module.run_cell
+    monkeypatch.setattr(cells_module, "run_cell", lambda *a: (computed.append(a[-1].method), real(*a))[1])
+    run_cells(tiny, both, tmp_path)
+    assert computed == ["image"]
+
+
+def test_the_paper_s_method_says_how_it_got_there(tiny, tmp_path):
+    (result,) = run_cells(tiny, [Cell(recording="belt-30", method="descent", trials=1)], tmp_path)
+    (trial,) = result.trials
+    assert trial.start in ("paper", "solver") and trial.pose_iterations >= 1
+    assert trial.iterations_to_few >= trial.iterations_to_read >= 1
+
+
 def test_a_recording_that_is_not_there(tiny, tmp_path):
     with pytest.raises(UsageError, match="no recording 'belt-99'"):
         run_cells(tiny, [Cell(recording="belt-99", method="evqr")], tmp_path)

@@ -15,10 +15,12 @@ from evqr.evaluate.metrics import (
     image_read_rate,
     max_accuracy,
     mean_to_read,
+    median_to_read,
     mode_accuracy,
     mode_of,
     read_rate,
     score,
+    wrong_codewords,
     yield_rate,
 )
 
@@ -75,6 +77,25 @@ def test_time_and_iterations_to_read_are_means_over_trials_that_read_at_some_ite
     ]
     assert mean_to_read(trials) == (1.5, 4.5)
     assert mean_to_read([Trial()]) == (None, None)
+
+
+def test_median_time_does_not_mind_one_that_was_stopped():
+    trials = [Trial(seconds_to_read=seconds) for seconds in (1.0, 2.0, 600.0)]
+    assert median_to_read([*trials, Trial(seconds=9.0)]) == 2.0
+    assert median_to_read([Trial()]) is None
+    assert score(trials, TRUTH).median_seconds_to_read == 2.0
+
+
+def test_a_codeword_is_wrong_with_one_wrong_bit_as_with_eight():
+    truth = Truth(text="", modules=np.ones((4, 6), np.int8), known=np.zeros((4, 6), bool))
+    bits = np.arange(23, -1, -1)  # three codewords, the last one first
+    modules = truth.modules.copy()
+    assert wrong_codewords(modules, truth, bits) == 0
+    modules.flat[23] = -1
+    assert wrong_codewords(modules, truth, bits) == 1
+    modules.flat[8:16] = -1
+    modules.flat[22] = 0  # says nothing, in the codeword that is wrong already
+    assert wrong_codewords(modules, truth, bits) == 2
 
 
 def test_read_rate_counts_converged_trials_and_yield_counts_all():

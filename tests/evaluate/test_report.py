@@ -13,6 +13,7 @@ from click.testing import CliRunner
 from evqr import cli
 from evqr.dataset.manifest import load_manifest
 from evqr.evaluate.cell import Cell, CellResult
+from evqr.evaluate.details import details_of
 from evqr.evaluate.figures import figures_of
 from evqr.evaluate.metrics import Trial
 from evqr.evaluate.paper import printed
@@ -71,11 +72,29 @@ def test_the_table_is_in_the_paper_s_order_with_its_numbers_beside(results):
     assert [(line.method, line.angle) for line in lines] == [("descent", 0), ("descent", 30), ("evqr", 30)]
     rows = rows_of(lines)
     assert rows[1][3:6] == ["2 (150)", "100.0 (99.2)", "0.25 (0.75)"]
-    assert rows[2][8] == "0.0 (96.7)" and rows[3][8] == "100.0" and rows[2][5] == "- (0.34)"
+    assert rows[2][9] == "0.0 (96.7)" and rows[3][9] == "100.0" and rows[2][5] == "- (0.34)"
+    assert rows[0][6] == "median time [s]" and rows[1][6] == "0.25" and rows[2][6] == "-"
     markdown = markdown_of(lines).splitlines()
     assert markdown[2].startswith("| faster | Ours (the paper's) | 0 |") and markdown[3].startswith(
         "|  |  | 30 |"
     )
+
+
+def test_the_paper_s_method_in_detail(tiny, results):
+    assert [part.rows[0][0] for part in details_of(results, [])] == ["events per edge"]
+    descent = made_up(tiny, "descent", scene="faster")
+    first, second = descent.trials
+    descent = replace(
+        descent,
+        trials=(
+            replace(first, start="paper", pose_iterations=10, iterations_to_few=4),
+            replace(second, start="solver", pose_iterations=20),
+            replace(second, modules=None, start=None),
+        ),
+    )
+    table, _ = details_of([descent, results[0]], [])
+    assert table.rows[1:] == [["faster", "30", "3", "1", "1", "1", "15", "3", "6.04", "4", "1"]]
+    assert table.markdown.splitlines()[-1] == "| faster | 30 | 3 | 1 | 1 | 1 | 15 | 3 | 6.04 | 4 | 1 |"
 
 
 def test_csv_has_a_column_a_number(results):
@@ -114,6 +133,7 @@ def test_the_report_holds_its_pictures(results, tmp_path):
     assert told["about"]["command"] == "evqr table1" and len(told["lines"]) == 3
     markdown = (tmp_path / "table1.md").read_text()
     assert "| faster |" in markdown
+    assert page.count("<table>") == 2 and "<th>events per edge</th>" in page and "<td>50 % of 4</td>" in page
     # two windows each, with 5 events an edge
     assert re.search(r"evqr, each window alone \| - \| - \| - \| - \| 100 % of 2 \|", markdown)
     assert re.search(r"Ours \(the paper's\) \| - \| - \| - \| - \| 50 % of 4 \|", markdown)
@@ -152,10 +172,14 @@ def test_table1_refuses(tiny, tmp_path, options, message):
 def test_dataset_make_from_the_command_line(tmp_path, monkeypatch):
     from evqr.dataset import scenes
 
-    few = list(scenes.scenes(most_windows=13))[:1]
-    monkeypatch.setattr(scenes, "scenes", lambda **options: iter(few))
-    done = run("dataset", "make", tmp_path / "qrecd")
+    real = scenes.scenes
+    monkeypatch.setattr(scenes, "scenes", lambda **options: list(real(**options))[:1])
+    done = run(
+        "dataset", "make", tmp_path / "qrecd", "--windows", 13, "--text", "ELSE", "--text", "B", "--seed", 9
+    )
     assert done.exception is None and "1 scenes" in done.output
+    assert load_manifest(tmp_path / "qrecd")[0].text == "ELSE"
+    assert "| `ELSE` | 13 | 9 |" in (tmp_path / "qrecd" / "README.md").read_text()
 
 
 def test_help_names_the_commands():
