@@ -57,7 +57,7 @@ class Decay:
 
 def accumulate(window: Window, tau: float) -> NDArray[np.float32]:
     """Sum of polarities (Y, X), each faded by ``exp(-age / tau)`` to the end of the window."""
-    age = np.float32(0.5 * window.seconds) - window.t
+    age = np.float32(1e-6 * (window.end_us - window.middle_us)) - window.t
     weight = window.p * np.exp(age * np.float32(-1.0 / tau))
     address = window.y.astype(np.intp) * window.width + window.x.astype(np.intp)
     total = np.bincount(address, weights=weight, minlength=window.width * window.height)
