@@ -164,7 +164,7 @@ class Passes:
         """Time between two searches [us]."""
         sure = any(track.reading is not None for track in self._tracks)
         travel = self.config.search_px * (SEARCH_SELDOM if sure else 1)
-        step = max(self._solver.window_us(speed), round(travel / speed * 1e6))
+        step = max(self._solver.window_us(speed), round(travel / max(speed, 1e-9) * 1e6))
         return min(step, SEARCH_LONGEST_US)
 
     def _look_at(self, solver: Solver, at_us: int) -> _Look:

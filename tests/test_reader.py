@@ -9,7 +9,8 @@ from backends import BACKENDS
 from scenes import at, joined, keep, middle_us, noise, scene, true_corners
 
 import evqr
-from evqr import ReadConfig, ReadStatus, Vote, read_codes
+from evqr import ReadConfig, ReadStatus, Vote, read_codes, read_windows
+from evqr.initial.motion import Motion
 from evqr.simulate import CodePlacement, shuffled
 from evqr.types import CodeReading, EventArray
 from evqr_kernels import BackendUnavailable
@@ -287,6 +288,17 @@ def test_things_that_are_no_code_give_nothing(preset):
 
 def test_shuffled_events_give_nothing(events):
     assert_nothing(read_codes(shuffled(events, seed=1)))
+
+
+@pytest.mark.parametrize("threads", [1, 2])
+def test_what_does_not_move_at_all_gives_nothing(threads, events, monkeypatch):
+    """A peak of the correlation at no shift that is no vertex either: its place is whole steps, so zero."""
+    still = Motion(np.zeros(2), 0.5)
+    monkeypatch.setattr("evqr.solver.find_motion", lambda *_, **__: still)
+    assert read_codes(events, threads=threads).status is ReadStatus.NO_READ
+    windows = list(read_windows(events, config=ReadConfig(max_windows=4), threads=threads))
+    assert [window.status for window in windows] == [ReadStatus.NO_CODE] * 4
+    assert [window.reason for window in windows] == ["nothing moves"] * 4
 
 
 @pytest.mark.parametrize("count", [1, 150, 100_000])
