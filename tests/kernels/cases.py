@@ -156,11 +156,12 @@ def correlate_templates(rng, dtype, width=24, n=5):
     g = np.arange(n) - n // 2
     disc = (g[:, None] ** 2 + g**2) <= (n // 2) ** 2
     spans = np.array([(c.argmax(), n - c[::-1].argmax()) for c in disc.T], np.int32)
-    basis, _ = np.linalg.qr(rng.normal(size=(n * n, 5)))
+    basis, _ = np.linalg.qr((rng.normal(size=(n, n, 5)) * disc[..., None]).reshape(-1, 5))
+    basis = basis.reshape(n, n, 5) + rng.normal(size=(n, n, 5)) * ~disc[..., None]  # which do not count
     mix = rng.normal(size=(8, 5))
     mix /= np.linalg.norm(mix, axis=1, keepdims=True)
     busy = np.array([500.0, 300.0, 0.0], dtype)
-    inputs = [image.astype(dtype), busy, basis.reshape(n, n, 5).astype(dtype), mix.astype(dtype), spans]
+    inputs = [image.astype(dtype), busy, basis.astype(dtype), mix.astype(dtype), spans]
     outputs = [filled((B, Y + n, width + n - 1), dtype), filled(B, dtype), filled((B, 6, Y, width), dtype)]
     outputs += [filled((B, Y, width), dtype), np.full((B, Y, width), -1, np.int32)]
     return Call("correlate_templates", [*inputs, 0.7, 0.2], outputs, scratch=3)
