@@ -165,7 +165,9 @@ def _modules(kernels: KernelSet, device: str) -> list[wp.Module]:
         lag.make_lag_rows(f32, lag.block_of(wp.get_device(device))),
         lag.make_lag_columns(f32, lag.block_of(wp.get_device(device))),
         motion.make_clip_rows(f32, motion.block_of(wp.get_device(device))),
-        motion.make_correlate_rows(f32, motion.block_of(wp.get_device(device))),
+        motion.make_correlate_rows(
+            f32, motion.block_of(wp.get_device(device)), motion.rows_of(wp.get_device(device))
+        ),
         motion.make_add_rows(f32, motion.block_of(wp.get_device(device))),
         motion.make_surface_peak(f32),
         images.make_measure_rows(f32),

@@ -18,15 +18,23 @@ from functools import cache
 
 import warp as wp
 
-from evqr_kernels.warp_backend.language import launch, module_of, neighbours, vector
+from evqr_kernels.warp_backend.language import launch, launch_bounds, module_of, neighbours, vector
 
 CPU_BLOCK, GPU_BLOCK = 16, 4
 """Neighbouring shifts, or pixels, done together: vector units want many, registers few."""
+
+CPU_ROWS, GPU_ROWS = 4, 2
+"""Rows of shifts that share each pixel of a correlation: likewise."""
 
 
 def block_of(device: wp.Device) -> int:
     """Choose the block for a device."""
     return CPU_BLOCK if device.is_cpu else GPU_BLOCK
+
+
+def rows_of(device: wp.Device) -> int:
+    """Choose the rows for a device."""
+    return CPU_ROWS if device.is_cpu else GPU_ROWS
 
 
 @cache
@@ -65,11 +73,12 @@ def make_clip_rows(dtype: type, block: int) -> wp.Kernel:
 
 
 @cache
-def make_correlate_rows(dtype: type, block: int) -> wp.Kernel:
+def make_correlate_rows(dtype: type, block: int, rows: int) -> wp.Kernel:
     """Build the correlation; launch: one thread per row.  ``.._blocks``: `neighbours` of the same array."""
     vec_block = vector(block, dtype)
+    mat_sums = wp.types.matrix(shape=(rows, block), dtype=dtype)
 
-    @wp.kernel(module=module_of(f"motion_{block}", dtype))
+    @wp.kernel(module=module_of(f"motion_{block}", dtype), launch_bounds=launch_bounds(dtype))
     def correlate_rows(
         images: wp.array4d(dtype=dtype),
         blocks: wp.array4d(dtype=vec_block),
@@ -96,33 +105,21 @@ def make_correlate_rows(dtype: type, block: int) -> wp.Kernel:
                     if images[b, 0, y, p] != dtype(0.0):
                         found_out[b, y, count] = p
                         count += 1
-        # four rows of shifts at a time: they share each pixel, and while one sum waits the others add
-        for j in range(0, shifts, 4):
+        # `rows` rows of shifts at a time: they share each pixel, and while one sum waits the others add
+        for j in range(0, shifts, rows):
             top = y - radius + j
-            row0 = wp.clamp(top, 0, height - 1)
-            row1 = wp.clamp(top + 1, 0, height - 1)
-            row2 = wp.clamp(top + 2, 0, height - 1)
-            row3 = wp.clamp(top + 3, 0, height - 1)
             for i in range(0, columns, block):
-                sum0 = vec_block()
-                sum1 = vec_block()
-                sum2 = vec_block()
-                sum3 = vec_block()
+                sums = mat_sums()
                 for k in range(count):
                     x = found_out[b, y, k]
                     value = images[b, 0, y, x]
-                    sum0 += value * blocks[b, 1, row0, x - radius + i]
-                    sum1 += value * blocks[b, 1, row1, x - radius + i]
-                    sum2 += value * blocks[b, 1, row2, x - radius + i]
-                    sum3 += value * blocks[b, 1, row3, x - radius + i]
-                # a row outside the image counts for nothing
-                row_blocks_out[b, y, j, i] = wp.where(row0 == top, sum0, vec_block())
-                if j + 1 < shifts:
-                    row_blocks_out[b, y, j + 1, i] = wp.where(row1 == top + 1, sum1, vec_block())
-                if j + 2 < shifts:
-                    row_blocks_out[b, y, j + 2, i] = wp.where(row2 == top + 2, sum2, vec_block())
-                if j + 3 < shifts:
-                    row_blocks_out[b, y, j + 3, i] = wp.where(row3 == top + 3, sum3, vec_block())
+                    for r in range(wp.static(rows)):
+                        row = wp.clamp(top + r, 0, height - 1)
+                        sums[r] += value * blocks[b, 1, row, x - radius + i]
+                for r in range(wp.static(rows)):
+                    if j + r < shifts:
+                        inside = top + r >= 0 and top + r < height
+                        row_blocks_out[b, y, j + r, i] = wp.where(inside, sums[r], vec_block())
         for k in range(width - (last - first)):  # the others
             x = k
             if k >= first:
@@ -183,7 +180,7 @@ def motion_correlation(
         device=device,
     )
     launch(
-        make_correlate_rows(dtype, block),
+        make_correlate_rows(dtype, block, rows_of(device)),
         (batch, height),
         inputs=[images_inout, blocks, radius],
         outputs=[found_out, rows_out, row_blocks],
