@@ -5,6 +5,7 @@ from __future__ import annotations
 import base64
 import html
 import io
+import re
 import json
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
@@ -142,9 +143,8 @@ def _html(
     ]
     for name, png in pictures.items():
         data = base64.b64encode(png).decode("ascii")
-        parts.append(
-            f'<h2>{html.escape(name)}</h2><img alt="{html.escape(name)}" src="data:image/png;base64,{data}">'
-        )
+        heading = html.escape(re.sub(r"(\D)(\d)", r"\1 \2", name).replace("-", " ").capitalize())
+        parts.append(f'<h2>{heading}</h2><img alt="{heading}" src="data:image/png;base64,{data}">')
     return "\n".join(parts) + "</html>\n"
 
 
