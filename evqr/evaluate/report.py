@@ -5,8 +5,8 @@ from __future__ import annotations
 import base64
 import html
 import io
-import re
 import json
+import re
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from datetime import datetime, timezone
