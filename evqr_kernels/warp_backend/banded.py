@@ -11,27 +11,73 @@ those of the unit matrix:
     L(i, j) = (A(i, j) - sum_k L(i, k) L(j, k)) / L(j, j),      L(i, i) = sqrt(A(i, i) - sum_k L(i, k)^2)
     L y = -rhs - (S q of the fixed modules),                    L^T q = y
 
-It costs M^2 width^2 / 2 multiply-adds whatever the condition of S is.  One thread owns one window: on a GPU
-that pays for batches of hundreds.
+It costs M^2 width^2 / 2 multiply-adds whatever the condition of S is.  A first pass fills the band with A and
+q with the right side; then one thread owns one window: on a GPU that pays for batches of hundreds.
 """
 
 from functools import cache
 
 import warp as wp
 
-from evqr_kernels.warp_backend.language import launch, module_of, neighbours, vector
+from evqr_kernels.warp_backend.language import launch, launch_bounds, module_of, neighbours, vector
 
-BLOCK = 8
-"""Neighbouring entries of a row multiplied together."""
+CPU_BLOCK, GPU_BLOCK = 16, 4
+"""Neighbouring entries of a row multiplied together: vector units want many, registers few."""
+
+
+def block_of(device: wp.Device) -> int:
+    """Choose the block for a device."""
+    return CPU_BLOCK if device.is_cpu else GPU_BLOCK
 
 
 @cache
-def make_row_product(dtype: type) -> wp.Function:
+def make_fill_band(dtype: type) -> wp.Kernel:
+    """Build the system: the matrix's rows up to the diagonal, and the right side; launch: one thread per row.
+
+    Modules are numbered as one row here, and below.
+    """
+
+    @wp.kernel(module=module_of("banded", dtype))
+    def fill_band(
+        rhs: wp.array2d(dtype=dtype),
+        stencil: wp.array3d(dtype=dtype),
+        damping: wp.array(dtype=dtype),
+        side: int,
+        free: wp.array(dtype=wp.int32),
+        band_out: wp.array3d(dtype=dtype),
+        q_inout: wp.array2d(dtype=dtype),
+    ):
+        b, i = wp.tid()
+        reach = stencil.shape[1] // 2
+        width = band_out.shape[2] - 1
+        for k in range(width):
+            band_out[b, i, k] = dtype(0.0)
+        band_out[b, i, width] = dtype(1.0)
+        if free[i] != 0:
+            band_out[b, i, width] = stencil[b, reach, reach] + damping[b]
+            value = -rhs[b, i]
+            row = i // side
+            column = i - row * side
+            for r in range(wp.max(0, row - reach), wp.min(side, row + reach + 1)):
+                for c in range(wp.max(0, column - reach), wp.min(side, column + reach + 1)):
+                    j = r * side + c
+                    entry = stencil[b, r - row + reach, c - column + reach]
+                    if free[j] == 0:
+                        value -= entry * q_inout[b, j]
+                    elif j < i:
+                        band_out[b, i, width + j - i] = entry
+            q_inout[b, i] = value
+
+    return fill_band
+
+
+@cache
+def make_row_product(dtype: type, block: int) -> wp.Function:
     """Build the scalar product of ``count`` entries of two rows of the band.
 
     ``blocks``: `neighbours` of the band.
     """
-    vec_block = vector(BLOCK, dtype)
+    vec_block = vector(block, dtype)
 
     @wp.func
     def row_product(
@@ -44,12 +90,12 @@ def make_row_product(dtype: type) -> wp.Function:
         first_j: int,
         count: int,
     ) -> dtype:
-        whole = count - count % BLOCK
+        whole = count - count % block
         by_block = vec_block()
-        for k in range(0, whole, BLOCK):
+        for k in range(0, whole, block):
             by_block += wp.cw_mul(blocks[b, i, first_i + k], blocks[b, j, first_j + k])
         total = dtype(0.0)
-        for c in range(wp.static(BLOCK)):
+        for c in range(wp.static(block)):
             total += by_block[c]
         for k in range(whole, count):
             total += band[b, i, first_i + k] * band[b, j, first_j + k]
@@ -59,85 +105,67 @@ def make_row_product(dtype: type) -> wp.Function:
 
 
 @cache
-def make_solve_banded(dtype: type) -> wp.Kernel:
-    """Build the solution; launch: one thread per window."""
-    vec_block = vector(BLOCK, dtype)
-    row_product = make_row_product(dtype)
+def make_solve_banded(dtype: type, block: int) -> wp.Kernel:
+    """Build the solution; launch: one thread per window.  ``blocks``: `neighbours` of the band."""
+    vec_block = vector(block, dtype)
+    row_product = make_row_product(dtype, block)
 
-    @wp.kernel(module=module_of("banded", dtype))
+    @wp.kernel(module=module_of(f"banded_{block}", dtype), launch_bounds=launch_bounds(dtype))
     def solve_banded(
-        rhs: wp.array3d(dtype=dtype),
-        stencil: wp.array3d(dtype=dtype),
-        damping: wp.array(dtype=dtype),
-        free: wp.array2d(dtype=wp.int32),
-        band_out: wp.array3d(dtype=dtype),
-        blocks_out: wp.array3d(dtype=vec_block),
-        q_inout: wp.array3d(dtype=dtype),
+        free: wp.array(dtype=wp.int32),
+        blocks: wp.array3d(dtype=vec_block),
+        band_inout: wp.array3d(dtype=dtype),
+        q_inout: wp.array2d(dtype=dtype),
     ):
         b = wp.tid()
-        side = free.shape[0]
-        reach = stencil.shape[1] // 2
-        width = band_out.shape[2] - 1
-        for i in range(side * side):
-            row = i // side
-            column = i - row * side
-            begin = wp.max(0, i - width)
-            for j in range(begin, i):
-                band_out[b, i, width + j - i] = dtype(0.0)
-            band_out[b, i, width] = dtype(1.0)
-            if free[row, column] != 0:
-                # the matrix's row up to the diagonal, and what fixed modules leave on the other side
-                value = -rhs[b, row, column]
-                for n in range(stencil.shape[1] * stencil.shape[2]):
-                    k = n // stencil.shape[2] - reach
-                    m = n - (k + reach) * stencil.shape[2] - reach
-                    r = row + k
-                    c = column + m
-                    if r >= 0 and r < side and c >= 0 and c < side:
-                        entry = stencil[b, k + reach, m + reach]
-                        if free[r, c] == 0:
-                            value -= entry * q_inout[b, r, c]
-                        elif r * side + c < i:
-                            band_out[b, i, width + r * side + c - i] = entry
-                for j in range(begin, i):
-                    # rows of fixed modules stay as they are
-                    if free[j // side, j - (j // side) * side] != 0:
+        modules = free.shape[0]
+        width = band_inout.shape[2] - 1
+        for i in range(modules):
+            if free[i] != 0:
+                begin = wp.max(0, i - width)
+                value = q_inout[b, i]
+                # each entry needs those left of it; the last is the diagonal
+                for j in range(begin, i + 1):
+                    if free[j] != 0:  # rows of fixed modules stay as they are
                         first = wp.max(begin, j - width)
-                        product = row_product(
-                            band_out, blocks_out, b, i, width + first - i, j, width + first - j, j - first
+                        entry = band_inout[b, i, width + j - i] - row_product(
+                            band_inout, blocks, b, i, width + first - i, j, width + first - j, j - first
                         )
-                        entry = band_out[b, i, width + j - i] - product
-                        entry /= band_out[b, j, width]
-                        band_out[b, i, width + j - i] = entry
-                        value -= entry * q_inout[b, j // side, j - (j // side) * side]
-                squares = row_product(
-                    band_out, blocks_out, b, i, width + begin - i, i, width + begin - i, i - begin
-                )
-                diagonal = wp.sqrt(stencil[b, reach, reach] + damping[b] - squares)
-                band_out[b, i, width] = diagonal
-                q_inout[b, row, column] = value / diagonal
-        for back in range(side * side):
-            i = side * side - 1 - back
-            row = i // side
-            column = i - row * side
-            if free[row, column] != 0:
-                value = q_inout[b, row, column] / band_out[b, i, width]
-                q_inout[b, row, column] = value
+                        if j < i:
+                            entry /= band_inout[b, j, width]
+                            value -= entry * q_inout[b, j]
+                        else:
+                            entry = wp.sqrt(entry)
+                            q_inout[b, i] = value / entry
+                        band_inout[b, i, width + j - i] = entry
+        for back in range(modules):
+            i = modules - 1 - back
+            if free[i] != 0:
+                value = q_inout[b, i] / band_inout[b, i, width]
+                q_inout[b, i] = value
                 for j in range(wp.max(0, i - width), i):
-                    r = j // side
-                    c = j - r * side
-                    if free[r, c] != 0:
-                        q_inout[b, r, c] = q_inout[b, r, c] - band_out[b, i, width + j - i] * value
+                    if free[j] != 0:
+                        q_inout[b, j] = q_inout[b, j] - band_inout[b, i, width + j - i] * value
 
     return solve_banded
 
 
 def solve_code_banded(rhs, stencil, damping, free, band_out, q_inout) -> None:
-    """Launch; q is updated in place, the band is scratch."""
+    """Launch both passes; q is updated in place, the band is scratch."""
+    block = block_of(rhs.device)
+    side, flat = free.shape[0], (rhs.shape[0], free.size)
+    free, q = free.flatten(), q_inout.reshape(flat)
     launch(
-        make_solve_banded(rhs.dtype),
+        make_fill_band(rhs.dtype),
+        flat,
+        inputs=[rhs.reshape(flat), stencil, damping, side, free],
+        outputs=[band_out, q],
+        device=rhs.device,
+    )
+    launch(
+        make_solve_banded(rhs.dtype, block),
         rhs.shape[0],
-        inputs=[rhs, stencil, damping, free],
-        outputs=[band_out, neighbours(band_out, BLOCK), q_inout],
+        inputs=[free, neighbours(band_out, block)],
+        outputs=[band_out, q],
         device=rhs.device,
     )

@@ -148,10 +148,11 @@ def make_profile(dtype: type, taps: int) -> wp.Function:
 
 
 @cache
-def make_row_of_nodes(dtype: type, taps: int) -> wp.Function:
+def make_row_of_nodes(dtype: type, taps: int, at_once: bool) -> wp.Function:
     """Build the look-up of ``taps`` nodes of a row, which may lie beyond the grid.
 
-    ``rows``: `neighbours` of the grid.
+    ``rows``: `neighbours` of the grid, from which nodes are taken ``at_once`` where none is beyond: that is
+    for CPUs; a GPU loads them one by one either way, and the choice takes registers.
     """
     vec_taps = vector(taps, dtype)
 
@@ -165,7 +166,7 @@ def make_row_of_nodes(dtype: type, taps: int) -> wp.Function:
         i: int,
     ) -> vec_taps:
         nodes = vec_taps()
-        if j >= 0 and j < grid.shape[1] and i >= 0 and i + taps <= grid.shape[2]:
+        if wp.static(at_once) and j >= 0 and j < grid.shape[1] and i >= 0 and i + taps <= grid.shape[2]:
             nodes = rows[b, j, i]
         else:
             for k in range(wp.static(taps)):
@@ -178,18 +179,21 @@ def make_row_of_nodes(dtype: type, taps: int) -> wp.Function:
 
 
 @cache
-def make_render_code(dtype: type, parameters: int, taps: int) -> wp.Kernel:
-    """Build the kernel for a map and a number of taps; launch: one thread per row of pixels."""
+def make_render_code(dtype: type, parameters: int, taps: int, on_cpu: bool) -> wp.Kernel:
+    """Build the kernel for a map and a number of taps; launch: one thread per row of pixels.
+
+    ``on_cpu``: the variant for CPUs, which hold more in registers.
+    """
     vec_map = vector(parameters, dtype)
     vec_taps = vector(taps, dtype)
     look = make_look(dtype, parameters)
     near = make_near(dtype)
     profile = make_profile(dtype, taps)
-    row_of_nodes = make_row_of_nodes(dtype, taps)
+    row_of_nodes = make_row_of_nodes(dtype, taps, at_once=on_cpu)
 
     @wp.kernel(
-        module=module_of(f"render_{parameters}_{taps}", dtype),
-        launch_bounds=launch_bounds(dtype, narrow=taps == 2),
+        module=module_of(f"render_{parameters}_{taps}{'_on_cpu' * on_cpu}", dtype),
+        launch_bounds=launch_bounds(dtype),
     )
     def render_code(
         grid: wp.array3d(dtype=dtype),
@@ -204,6 +208,8 @@ def make_render_code(dtype: type, parameters: int, taps: int) -> wp.Kernel:
         w = to_grid[b]
         beyond = outside[b]
         for x in range(image_out.shape[2]):
+            if wp.static(not on_cpu):
+                w = to_grid[b]  # again, rather than keep it in registers
             u, v, inverse_depth = look(w, dtype(x), dtype(y))
             value = beyond
             if near(u, v, inverse_depth, reach, grid.shape[1], grid.shape[2]):
@@ -222,7 +228,7 @@ def render_code(grid, to_grid, outside, sigma: float, image_out) -> None:
     """Launch; overwrites."""
     taps = taps_of(sigma)
     launch(
-        make_render_code(grid.dtype, to_grid.shape[1], taps),
+        make_render_code(grid.dtype, to_grid.shape[1], taps, on_cpu=grid.device.is_cpu),
         image_out.shape[:2],
         inputs=[
             grid,

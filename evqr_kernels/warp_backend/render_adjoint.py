@@ -75,7 +75,7 @@ def make_adjoint_of_rows(dtype: type, parameters: int, taps: int, scatter: bool)
     look = make_look(dtype, parameters)
     near = make_near(dtype)
     profile = make_profile(dtype, taps)
-    row_of_nodes = make_row_of_nodes(dtype, taps)
+    row_of_nodes = make_row_of_nodes(dtype, taps, at_once=True)
     map_adjoint = make_map_adjoint(dtype, parameters)
 
     @wp.kernel(
