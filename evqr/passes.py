@@ -15,7 +15,7 @@ from typing import Any
 
 import numpy as np
 
-from evqr.initial.motion import Motion
+from evqr.initial.motion import Motion, travel_time_us
 from evqr.recording import Recording
 from evqr.solver import Sighting, Solver, StageClock, Unseen
 from evqr.track import Track
@@ -164,7 +164,7 @@ class Passes:
         """Time between two searches [us]."""
         sure = any(track.reading is not None for track in self._tracks)
         travel = self.config.search_px * (SEARCH_SELDOM if sure else 1)
-        step = max(self._solver.window_us(speed), round(travel / max(speed, 1e-9) * 1e6))
+        step = max(self._solver.window_us(speed), round(travel_time_us(speed, travel)))
         return min(step, SEARCH_LONGEST_US)
 
     def _look_at(self, solver: Solver, at_us: int) -> _Look:

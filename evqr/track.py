@@ -8,6 +8,7 @@ from dataclasses import replace
 import numpy as np
 
 from evqr.decode import Decoded, DecodeFailure, decode_grid
+from evqr.initial.motion import travel_time_us
 from evqr.region import outline
 from evqr.solver import Sighting, Solver, StageClock
 from evqr.types import CodeReading
@@ -70,7 +71,7 @@ class Track:
         length = solver.window_us(speed)
         step = length
         if self.reading is not None:
-            step = max(length, round(solver.config.follow_px / max(speed, 1e-9) * 1e6))
+            step = max(length, round(travel_time_us(speed, solver.config.follow_px)))
         elif self._misses:
             step = 2 * length
         middle = self.seen.time_us + step * (1 + self._misses)

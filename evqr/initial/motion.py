@@ -127,9 +127,14 @@ def _mean_us(window: Window, first: int, last: int) -> float:
     return int(times.sum()) / len(times)
 
 
+def travel_time_us(speed: float, travel_px: float) -> float:
+    """Time in which something at ``speed`` [px/s], which may be 0, travels ``travel_px`` [us]."""
+    return travel_px / max(speed, 1e-9) * 1e6
+
+
 def window_length_us(speed: float, travel_px: float, cfg: MotionConfig) -> int:
     """Length of a window in which something at ``speed`` [px/s] travels ``travel_px`` [us]."""
-    return int(min(max(travel_px / max(speed, 1e-9) * 1e6, 20.0), cfg.longest_us))
+    return int(min(max(travel_time_us(speed, travel_px), 20.0), cfg.longest_us))
 
 
 def find_motion(
