@@ -119,6 +119,15 @@ def make_lag_columns_adjoint(dtype: type, block: int) -> wp.Kernel:
     return lag_columns_adjoint
 
 
+@wp.func
+def next_image(deposit_idx: wp.array(dtype=wp.int32), b: int, first: int) -> int:
+    """Give the next image that was made of deposit ``b``, the number of images where there is none."""
+    n = first
+    while n < deposit_idx.shape[0] and deposit_idx[n] != b:
+        n += 1
+    return n
+
+
 @cache
 def make_lag_gather(dtype: type, block: int) -> wp.Function:
     """Build the sum along a row, over images, that ``block`` cells of a deposit get: ON and OFF."""
@@ -139,20 +148,22 @@ def make_lag_gather(dtype: type, block: int) -> wp.Function:
         reach = size // 2
         on = vec_block()
         off = vec_block()
-        for n in range(deposit_idx.shape[0]):
-            if deposit_idx[n] == b:
-                plain = vec_block()
-                slope = vec_block()
-                for i in range(size):
-                    column = x + reach - i
-                    # blocks do not look beyond their row
-                    if wp.static(block > 1) or (column >= 0 and column < row_blocks.shape[3]):
-                        along = row_blocks[n, 0, y, column]
-                        plain += taps[0, i] * along
-                        slope += (direction[n, 0] * taps[1, i]) * along
-                        slope += (direction[n, 1] * taps[0, i]) * row_blocks[n, 1, y, column]
-                on += plain - lag[n, 0] * slope
-                off += plain - lag[n, 1] * slope
+        # not a loop over all images with a condition in it: compilers make no vectors of sums that cross one
+        n = next_image(deposit_idx, b, 0)
+        while n < deposit_idx.shape[0]:
+            plain = vec_block()
+            slope = vec_block()
+            for i in range(size):
+                column = x + reach - i
+                # blocks do not look beyond their row
+                if wp.static(block > 1) or (column >= 0 and column < row_blocks.shape[3]):
+                    along = row_blocks[n, 0, y, column]
+                    plain += taps[0, i] * along
+                    slope += (direction[n, 0] * taps[1, i]) * along
+                    slope += (direction[n, 1] * taps[0, i]) * row_blocks[n, 1, y, column]
+            on += plain - lag[n, 0] * slope
+            off += plain - lag[n, 1] * slope
+            n = next_image(deposit_idx, b, n + 1)
         return on, off
 
     return lag_gather
