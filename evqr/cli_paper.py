@@ -76,8 +76,8 @@ def make(folder: Path, jobs: int, windows: int | None, texts: tuple[str, ...], s
 
 
 STRETCHES = (0.5, 2.0)
-SHARES = (0.5, 0.25, 0.12)
-SWEEP_TRIALS = 5
+SHARES = (0.5, 0.35, 0.25, 0.18, 0.12)
+SWEEP_TRIALS = 12
 QUICK_TRIALS, QUICK_WINDOWS = 2, 130
 
 

@@ -25,8 +25,8 @@ bilinear (equation 5).  Rates and thresholds are those of section 4.2.  Where th
 - *iterations* to read are those of the second step; time to read is of both, and of the search.  They are
   fewer than the paper's.  From 0 the first iterate is along the derivative at 0, whatever the rate, and on
   good sensors its signs read at 30 and 45 degrees: our decoder uses all check codewords, and erasures.  The
-  paper takes a code for readable with up to about five wrong codewords (section 4.1); the table says how many
-  iterations it takes until then, too.
+  paper takes a code for readable with up to about five wrong codewords (section 4.1); the tables say how many
+  iterations it takes until then, too, and on harder scenes, where they are about the paper's.
 """
 
 from __future__ import annotations

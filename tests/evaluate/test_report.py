@@ -97,6 +97,25 @@ def test_the_paper_s_method_in_detail(tiny, results):
     assert table.markdown.splitlines()[-1] == "| faster | 30 | 3 | 1 | 1 | 1 | 15 | 3 | 6.04 | 4 | 1 |"
 
 
+def test_scenes_made_harder(tiny):
+    def few(result, keep, *counts):
+        trials = tuple(replace(result.trials[0], iterations_to_few=count) for count in counts)
+        return replace(result, cell=replace(result.cell, keep=keep), trials=trials)
+
+    descent, rated = (made_up(tiny, method, scene="faster") for method in ("descent", "without_qr"))
+    missed = made_up(tiny, "without_qr", scene="faster", wrong=30)
+    stretched = replace(missed, cell=replace(missed.cell, stretch=2.0))
+    table, sweep = [few(descent, 1.0, 4, 6), rated], [few(descent, 0.5, None, 9, 12), missed, stretched]
+    sweep[1] = few(missed, 0.5, None)
+    assert details_of(table, [stretched])[-1].rows[0][0] == "events per edge"
+    harder = details_of(table, [*sweep, few(descent, 0.25, None)])[0]
+    assert harder.rows == [
+        ["scene", "deg.", "the paper's", "100 % of the events", "50 % of the events", "25 % of the events"],
+        ["faster", "30", "4 %; 6.04", "100 %; 5 (2 of 2)", "0 %; 10.5 (2 of 3)", "-"],
+    ]
+    assert "w/o QR" in harder.told and "Ours (the paper's)" in harder.told
+
+
 def test_csv_has_a_column_a_number(results):
     rows = list(csv.DictReader(io.StringIO(csv_of(table_of(results)))))
     assert rows[0]["paper_read_rate"] == "92.7" and rows[0]["read_rate"] == "1.0"
