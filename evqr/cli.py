@@ -544,7 +544,3 @@ def demo(picture: Path, backend: str, device: str, threads: int | None) -> int:
             save_picture(picture, picture_events(recording, reading), reading, truth=demo_truth(path))
             click.echo(f"picture: {picture}")
     return _exit_status([result.status])
-
-
-if __name__ == "__main__":
-    main()

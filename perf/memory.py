@@ -83,7 +83,7 @@ def main() -> int:
     parser.add_argument("--limit-mib", type=float, default=1024.0)
     arguments = parser.parse_args()
 
-    read = [sys.executable, "-m", "evqr.cli", "read", "--json"]
+    read = [sys.executable, "-m", "evqr", "read", "--json"]
     peaks = []
     with tempfile.TemporaryDirectory() as folder:
         small, large = Path(folder) / "one.h5", Path(folder) / "many.h5"

@@ -372,7 +372,7 @@ def test_version(capsys):
 
 
 def test_a_reader_that_leaves_is_no_traceback(recording):
-    command = [sys.executable, "-m", "evqr.cli", "info", recording]
+    command = [sys.executable, "-m", "evqr", "info", recording]
     with subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True) as process:
         assert process.stdout is not None and process.stderr is not None
         process.stdout.close()

@@ -16,7 +16,7 @@ TEXT = "Read in passing, 8 px/ms"
 
 
 def evqr(*arguments):
-    command = [sys.executable, "-m", "evqr.cli", *map(str, arguments)]
+    command = [sys.executable, "-m", "evqr", *map(str, arguments)]
     done = subprocess.run(command, capture_output=True, text=True, timeout=240)
     said = [line for line in done.stderr.splitlines() if "compiling kernels" not in line]
     return done.returncode, done.stdout.splitlines(), said

@@ -127,7 +127,7 @@ def test_a_dask_cluster_gives_the_same_table(tiny, tmp_path, results):
 
 def test_a_run_that_is_killed_goes_on_where_it_was(tiny, tmp_path, results):
     out = tmp_path / "out"
-    command = [sys.executable, "-m", "evqr.cli", "table1", "--dataset", str(tiny), "--out", str(out)]
+    command = [sys.executable, "-m", "evqr", "table1", "--dataset", str(tiny), "--out", str(out)]
     command += ["--methods", ",".join(METHODS), "--trials", "2", "--no-sweep"]
     run = subprocess.Popen(command, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL)
     try:
