@@ -210,10 +210,21 @@ def _recordings(
         entries = load_manifest(data)
         wanted = _chosen(scenes, (entry.scene for entry in entries), "scene")
         chosen = [entry for entry in entries if entry.scene in wanted]
-        # the paper takes one text: the first recording of each scene and angle
+        # the paper takes one text: the first of each scene and angle
         first = {(entry.scene, entry.angle): entry for entry in reversed(chosen)}
-        chosen = [entry for entry in chosen if first[entry.scene, entry.angle] is entry]
-        return data, chosen, f"{len(chosen)} recordings of {data.name}"
+        chosen = [entry for entry in chosen if first[entry.scene, entry.angle].text == entry.text]
+        for entry in chosen:
+            other = first[entry.scene, entry.angle]
+            if other is not entry:
+                raise UsageError(
+                    f"{data}: {other.name!r} and {entry.name!r} both show {entry.text!r} at {entry.angle:g}"
+                    f" deg in scene {entry.scene!r}; give one of them another scene in the manifest"
+                )
+        return (
+            data,
+            chosen,
+            f"{len(chosen)} recordings of {data.name}, the first text of each scene and angle",
+        )
     wanted = _chosen(scenes, (kind.name for kind in KINDS), "scene")
     specs = [
         spec

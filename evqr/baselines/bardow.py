@@ -61,7 +61,7 @@ class BardowConfig:
 
 
 class Bardow:
-    """Luminance and flow from many windows of events; the code is then found in the image.
+    """Luminance and flow from many windows (Bardow et al., CVPR 2016); the code is found in the image.
 
     Parameters
     ----------
@@ -87,13 +87,13 @@ class Bardow:
         volume = Volume(seen, cfg, self._device)
         final: NDArray[np.float32] | None = None
         for iteration in range(1, cfg.max_iterations + 1):
-            if iteration % cfg.relinearise == 1:
+            if (iteration - 1) % cfg.relinearise == 0:
                 volume.relinearise()
             change = volume.iterate()
             image = volume.image()
-            enough = watch(iteration, image)
             if final is None and change < cfg.tolerance:
                 final = image
+            enough = watch(iteration, image, final is not None)
             if final is not None and enough:
                 break
         image = volume.image() if final is None else final

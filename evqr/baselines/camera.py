@@ -11,7 +11,7 @@ from evqr.baselines.method import Outcome, Watch
 
 
 class Camera:
-    """One frame as it is: what reads it is the pattern matching of section 4.4, and zxing-cpp."""
+    """One frame as it is (Nagata et al. 2020, section 4.3): section 4.4's matching and zxing-cpp read it."""
 
     takes: Literal["frame"] = "frame"
     windows = 1
@@ -20,5 +20,5 @@ class Camera:
     def read(self, seen: NDArray[np.uint8], watch: Watch) -> Outcome:
         """Give the frame back."""
         image: NDArray[Any] = seen.astype(np.float32)
-        watch(1, image)
+        watch(1, image, True)
         return Outcome(image=image)

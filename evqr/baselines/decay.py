@@ -38,7 +38,7 @@ class DecayConfig:
 
 
 class Decay:
-    """Events of the last windows, fading, as an image."""
+    """Events of the last windows, fading, as an image: dv-processing's ``Accumulator``, exponential decay."""
 
     takes: Literal["events"] = "events"
     matched = False

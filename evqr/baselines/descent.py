@@ -31,8 +31,9 @@ bilinear (equation 5).  Rates and thresholds are those of section 4.2.  Where th
 
 from __future__ import annotations
 
+import time
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any, Literal
 
 import numpy as np
@@ -115,7 +116,7 @@ class DescentReading:
 
 
 class Descent:
-    """The paper's method, from a window of events and the code's version."""
+    """The paper's method (Nagata et al. 2020, section 3), from a window of events and the code's version."""
 
     takes: Literal["events"] = "events"
     windows = 1
@@ -128,10 +129,12 @@ class Descent:
 
     def read(self, seen: Window, watch: Watch) -> Outcome:
         """Find the code, then take both steps; the second goes on while the watch wants to see more."""
+        began = time.perf_counter()
         for name in self.cfg.starts:
             start = self.from_paper(seen) if name == "paper" else self.from_solver(seen)
             if start is not None:
-                return self._descend(seen, *start, watch, name)
+                searched = time.perf_counter() - began
+                return replace(self._descend(seen, *start, watch), start=name, search_seconds=searched)
         return Outcome(converged=False)
 
     def _descend(
@@ -140,7 +143,6 @@ class Descent:
         velocity: NDArray[np.float64],
         pose: NDArray[np.float64],
         watch: Watch,
-        name: Start,
     ) -> Outcome:
         cfg, workspace = self.cfg, self._solver.workspace
         problem = Problem(seen, velocity, pose, self.version, cfg.epsilon_px, workspace=workspace)
@@ -152,7 +154,6 @@ class Descent:
             pose=problem.pose_of(affine),
             text=outcome.text if isinstance(outcome, Decoded) else None,
             converged=iterations < cfg.max_iterations,
-            start=name,
             pose_iterations=pose_iterations,
         )
 
@@ -261,9 +262,9 @@ def descend_code(
         _, adj_grid = problem.code_gradient(grid, motion, affine)
         step = np.where(problem.free, cfg.code_rate * adj_grid, 0.0)
         grid = grid - step
-        enough = watch(iteration, grid[inner, inner])
         if final is None and np.linalg.norm(step) < cfg.code_tolerance:
             final = grid, iteration
+        enough = watch(iteration, grid[inner, inner], final is not None)
         if final is not None and (enough or iteration >= cfg.shown_iterations):
             break
     grid, iterations = (grid, iteration) if final is None else final

@@ -16,6 +16,9 @@ are counted in cells that are then blurred: Gaussian splats read no more, and ta
 
 The defaults are the best of those tried on the project's simulator, over the presets ``clean``, ``slow`` and
 ``fast``: 96 % of the windows of 2 to 4 px of travel are read.  Pixels that lag by a module are beyond it.
+
+Motion compensation follows Gallego, Rebecq, Scaramuzza, "A Unifying Contrast Maximization Framework for Event
+Cameras" (CVPR 2018).
 """
 
 from __future__ import annotations
@@ -71,7 +74,7 @@ class IntegrateReading:
 
 
 class Integrate:
-    """Row 6a of the table: motion, compensated events, integration along the motion, zxing-cpp."""
+    """Row 6a of the table: compensated events (Gallego et al. 2018), integrated along the motion, zxing-cpp."""
 
     takes: Literal["events"] = "events"
     windows = 1

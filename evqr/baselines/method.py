@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Any, Literal, Protocol
 
@@ -11,8 +10,16 @@ from numpy.typing import NDArray
 
 from evqr.windows import Window, make_window
 
-Watch = Callable[[int, NDArray[Any]], bool]
-"""Called with the number of an iteration and what it gave, modules or an image; True: enough was seen."""
+
+class Watch(Protocol):
+    """Whoever wants to see the iterates of a method."""
+
+    def __call__(self, iteration: int, estimate: NDArray[Any], converged: bool, /) -> bool:
+        """Look at what an iteration gave, modules or an image, and say whether enough was seen.
+
+        ``converged``: the method itself would end, or has ended, with this or an earlier iterate.
+        """
+        ...
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -31,6 +38,7 @@ class Outcome:
     confidence               that the text is right, 0 to 1; None where it does not say
     start                    which of several starts it took; None: it has one, or none was found
     pose_iterations          that it took before those that are watched; None: none
+    search_seconds           of its time, spent on finding the code [s]; None where that is no step of its own
     """
 
     modules: NDArray[np.floating[Any]] | None = None
@@ -43,6 +51,7 @@ class Outcome:
     confidence: float | None = None
     start: str | None = None
     pose_iterations: int | None = None
+    search_seconds: float | None = None
 
 
 class Method(Protocol):
@@ -64,7 +73,7 @@ class Method(Protocol):
         ...
 
 
-def unwatched(iteration: int, estimate: NDArray[Any]) -> bool:
+def unwatched(iteration: int, estimate: NDArray[Any], converged: bool) -> bool:
     """Watch nothing, and see enough at once."""
     return True
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from typing import Literal
 
 from evqr.baselines.method import Outcome, Watch, cut
@@ -34,7 +35,7 @@ class Own:
         config, workspace = solver.config, solver.workspace
         sighting: Sighting | None = None
         tally = Tally(config.vote, config.stage_two, workspace=workspace)
-        best = Outcome(converged=False)
+        best, iterations = Outcome(converged=False), 0
         for index in range(self.windows):
             part = seen if self.windows == 1 else cut(seen, self.windows, index)
             sighting = self._look(part) if sighting is None else solver.follow(part, sighting)
@@ -42,7 +43,8 @@ class Own:
                 tally = Tally(config.vote, config.stage_two, workspace=workspace)
                 continue
             estimate = tally.add(sighting.equations, sighting.noise)
-            watch(estimate.iterations, estimate.q)
+            iterations += estimate.iterations
+            watch(iterations, estimate.q, False)
             decoded = decode_grid(estimate.q, effort="full")
             read = isinstance(decoded, Decoded)
             best = Outcome(
@@ -50,12 +52,11 @@ class Own:
                 pose=sighting.pose,
                 time_us=sighting.time_us,
                 text=decoded.text if read else None,
-                windows=index + 1,
                 confidence=decoded.confidence if read else None,
             )
             if read:
-                break
-        return best
+                return replace(best, windows=index + 1)
+        return replace(best, windows=self.windows)
 
     def _look(self, window: Window) -> Sighting | None:
         motion = self._solver.motion_in(window)

@@ -51,6 +51,11 @@ METHODS: Mapping[str, Row] = MappingProxyType(
         "evqr_no_lag": Row(
             title="evqr, no lag operator", target="evqr.baselines.own:Own", options={"lag": False}
         ),
+        "evqr_fused_no_lag": Row(
+            title="evqr, fused, no lag operator",
+            target="evqr.baselines.own:Own",
+            options={"windows": 8, "lag": False},
+        ),
         "integrate": Row(title="integration + zxing-cpp", target="evqr.baselines.integrate:Integrate"),
         "decay": Row(title="decaying sum + zxing-cpp", target="evqr.baselines.decay:Decay"),
     }

@@ -57,7 +57,7 @@ class WithoutQrConfig:
 
 
 class WithoutQr:
-    """Luminance and motion from one window of events; the code is then found in the image."""
+    """Luminance and motion from one window (Nagata et al. 2020, equation 7); the code is found in the image."""
 
     takes: Literal["events"] = "events"
     windows = 1
@@ -89,10 +89,10 @@ class WithoutQr:
             step, adj_motion = descend(luminance, events, motion, cfg)
             luminance -= step
             motion = motion - cfg.motion_rate * adj_motion
-            enough = watch(iteration, luminance)
             small = np.linalg.norm(step) < cfg.tolerance * np.linalg.norm(luminance)
             if final is None and small:
                 final = luminance.copy()
+            enough = watch(iteration, luminance, final is not None)
             if final is not None and enough:
                 break
         return Outcome(image=luminance if final is None else final, converged=final is not None)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import asdict
+from importlib.metadata import version
 
 from evqr.dataset import frames, scenes
 from evqr.dataset.scenes import LEVEL, VERSION, SceneKind, SceneSpec
@@ -20,7 +21,8 @@ def card_of(specs: Sequence[SceneSpec]) -> str:
         "",
         f"{len(specs)} simulated scenes like those of Nagata, Sekikawa, Hara, Suzuki, Aoki, *QR-code",
         "Reconstruction from Event Data via Optimization in Code Subspace* (WACV 2020), whose data set was",
-        "not published. Made by `evqr dataset make`; the same version of evqr makes the same files again.",
+        f"not published. Made by `evqr dataset make` of evqr {version('evqr')}; the same version makes the",
+        "same files again.",
         "",
         "Licence: CC0-1.0. Nothing in it was recorded; there are no people, places or trade marks in it.",
         "",

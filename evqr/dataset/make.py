@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import hashlib
 import json
 import os
@@ -79,7 +80,7 @@ def make_scene(folder: Path, spec: SceneSpec) -> None:
     path = folder / entry_of(spec).recording
     made_from = json.dumps({"maker": MAKER, **asdict(spec)}, sort_keys=True)
     if path.exists():
-        with h5py.File(path) as file:
+        with contextlib.suppress(OSError), h5py.File(path) as file:  # a damaged one is made anew
             if file.attrs.get("made_from") == made_from:
                 return
     made = simulate_scene(spec.scene, spec.kind.sensor, threads=1)

@@ -10,8 +10,9 @@ What the paper does not say, and what is chosen here, with the paper's own rows 
 
 - *sensors*: the simulator has none of a sensor's faults.  The slower train has the noise of a good sensor in
   good light.  The faster one has what the paper calls late events and trajectories that are not straight:
-  pixels that lag (dark ones more), refractory time, heavy noise, lost events, and a readout that scans rows
-  and queues.
+  pixels that lag (dark ones more), refractory time, heavy noise, lost events, and a readout that scans rows.
+  The readout's queue is there, but these scenes fill it little: it delays by microseconds, the scan and the
+  lag by tens and hundreds.
 - *exposures* of the frame cameras: the shortest that explain that the paper's cameras read nothing.
 - *contrast, texture, light*: those of `evqr.simulate`.
 """

@@ -28,7 +28,7 @@ from evqr.evaluate.picture import picture_of
 from evqr.evaluate.trial import run_trial
 from evqr.windows import Window
 
-EVALUATION = 2
+EVALUATION = 3
 """Raised when cells would come out otherwise, whatever the method: older files are then computed again."""
 
 SEED = 20
@@ -62,6 +62,8 @@ class Cell:
         parts = [self.recording, self.method]
         parts += [f"x{self.stretch:g}"] if self.stretch != 1.0 else []
         parts += [f"keep{self.keep:g}"] if self.keep != 1.0 else []
+        parts += [f"n{self.trials}"] if self.trials is not None else []
+        parts += ["quick"] if self.quick else []
         return "--".join(parts)
 
 
@@ -141,13 +143,20 @@ def machine() -> str:
 @functools.cache
 def source() -> str:
     """Say which version of evqr this is, and of which commit where it runs from a clone."""
-    here = Path(__file__).parent
-    git = ["git", "describe", "--always", "--dirty", "--abbrev=10"]
+    here = Path(__file__)
+
+    def git(*arguments: str) -> str:
+        done = subprocess.run(
+            ["git", *arguments], cwd=here.parent, capture_output=True, text=True, check=True
+        )
+        return done.stdout.strip()
+
     try:
-        done = subprocess.run(git, cwd=here, capture_output=True, text=True, check=True)
+        git("ls-files", "--error-unmatch", here.name)  # installed below some other repository it is not its
+        commit = git("describe", "--always", "--dirty", "--abbrev=10")
     except (OSError, subprocess.CalledProcessError):
         return f"evqr {version('evqr')}"
-    return f"evqr {version('evqr')}, commit {done.stdout.strip()}"
+    return f"evqr {version('evqr')}, commit {commit}"
 
 
 def _inputs(method: Method, sequence: Sequence, cell: Cell) -> list[int]:

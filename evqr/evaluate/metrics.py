@@ -33,13 +33,14 @@ class Trial:
     best_accuracy           bit accuracy of its best iterate; None where no code was found
     iterations_to_read      of its first iterate that decodes to the true text, None where there is none
     seconds_to_read         computing time to that iterate [s]
-    seconds                 computing time in all [s]
+    seconds                 computing time until it ended by its own criterion, or gave up [s]
     windows                 windows of events that it needed
     confidence              that its text is right, 0 to 1; None where it does not say
     events_per_edge         events it had, over the edges between the code's modules (`edges_of`)
     start                   which of several starts it took; None: it has one, or none was found
     pose_iterations         before the iterates that count; None: none
     iterations_to_few       of its first iterate with up to `FEW_WRONG` wrong codewords; None: there is none
+    search_seconds          of ``seconds_to_read``, spent on finding the code; None: no step apart
     """
 
     modules: Modules | None = None
@@ -57,6 +58,7 @@ class Trial:
     start: str | None = None
     pose_iterations: int | None = None
     iterations_to_few: int | None = None
+    search_seconds: float | None = None
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -87,6 +89,7 @@ class Score:
     max_accuracy        of the best iterate of the best trial
     seconds_to_read, iterations_to_read   means over the trials that read at some iterate
     median_seconds_to_read                of the same trials
+    median_search_seconds                 part of it that is spent on finding the code
     read_rate           of the trials that converged (the paper's)
     yield_rate          of all trials
     image_read_rate     of all trials, from the image, by an ordinary decoder
@@ -102,6 +105,7 @@ class Score:
     seconds_to_read: float | None
     iterations_to_read: float | None
     median_seconds_to_read: float | None
+    median_search_seconds: float | None
     read_rate: float | None
     yield_rate: float | None
     image_read_rate: float | None
@@ -159,8 +163,13 @@ def mean_to_read(trials: Sequence[Trial]) -> tuple[float | None, float | None]:
 
 def median_to_read(trials: Sequence[Trial]) -> float | None:
     """Median seconds to the first iterate that reads: being stopped for a while does not move it."""
-    seconds = [t.seconds_to_read for t in trials if t.seconds_to_read is not None]
-    return float(np.median(seconds)) if seconds else None
+    return _median([t.seconds_to_read for t in trials if t.seconds_to_read is not None])
+
+
+def median_search(trials: Sequence[Trial]) -> float | None:
+    """Median seconds that the same trials spent on finding the code; None where it is no step apart."""
+    read = [trial for trial in trials if trial.seconds_to_read is not None]
+    return _median([t.search_seconds for t in read if t.search_seconds is not None])
 
 
 def wrong_codewords(modules: Modules, truth: Truth, bits: NDArray[np.intp]) -> int:
@@ -208,6 +217,7 @@ def score(trials: Sequence[Trial], truth: Truth) -> Score:
         seconds_to_read=seconds_to_read,
         iterations_to_read=iterations_to_read,
         median_seconds_to_read=median_to_read(trials),
+        median_search_seconds=median_search(trials),
         read_rate=read_rate(trials, truth),
         yield_rate=yield_rate(trials, truth),
         image_read_rate=image_read_rate(trials, truth),
@@ -265,6 +275,10 @@ def calibration(confidence: ArrayLike, right: ArrayLike, bounds: Sequence[float]
     count = sum(entry.count for entry in bins)
     error = sum(entry.count * abs(entry.key - entry.value) for entry in bins) / max(count, 1)
     return bins, error
+
+
+def _median(values: Sequence[float]) -> float | None:
+    return float(np.median(values)) if values else None
 
 
 def _mean(values: Sequence[float]) -> float | None:

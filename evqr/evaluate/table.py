@@ -13,7 +13,7 @@ from evqr.evaluate.cell import CellResult
 from evqr.evaluate.metrics import Score
 from evqr.evaluate.paper import Printed, printed
 
-TIMES = ("seconds_to_read", "median_seconds_to_read", "seconds")
+TIMES = ("seconds_to_read", "median_seconds_to_read", "median_search_seconds", "seconds")
 """Columns that differ from run to run; all others are the same wherever a cell is computed."""
 
 
@@ -74,6 +74,7 @@ COLUMNS = (
     ("mode acc. [%]", "mode_accuracy", ".1f", 100),
     ("time to read [s]", "seconds_to_read", ".3g", 1),
     ("median time [s]", "median_seconds_to_read", ".3g", 1),
+    ("of it search [s]", "median_search_seconds", ".3g", 1),
     ("iterations to read", "iterations_to_read", ".3g", 1),
     ("max acc. [%]", "max_accuracy", ".1f", 100),
     ("read rate [%]", "read_rate", ".1f", 100),

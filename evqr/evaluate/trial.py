@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from evqr.baselines.integrate import decode, stretch
-from evqr.baselines.method import Method, Outcome
+from evqr.baselines.method import Method, Outcome, cut
 from evqr.baselines.pattern import find_code
 from evqr.codewords import ErrorLevel, codeword_layout
 from evqr.dataset.manifest import Sequence
@@ -52,22 +52,27 @@ class Watcher:
         self.iterations_to_read: int | None = None
         self.iterations_to_few: int | None = None
         self.seconds_to_read: float | None = None
+        self.seconds_to_converge: float | None = None
+        self.search_seconds: float | None = None
 
     @property
     def seconds(self) -> float:
         """Time since the start, less that spent in watching [s]."""
         return time.perf_counter() - self._started - self._away
 
-    def __call__(self, iteration: int, estimate: NDArray[Any]) -> bool:
+    def __call__(self, iteration: int, estimate: NDArray[Any], converged: bool, /) -> bool:
         """Look at an iterate; True when it read and nothing better can come."""
+        seconds = self.seconds
+        if converged and self.seconds_to_converge is None:
+            self.seconds_to_converge = seconds
         if self._matched and iteration < self._next:
             return self.iterations_to_read is not None
-        seconds = self.seconds
         began = time.perf_counter()
         if self._matched and iteration >= DENSE_UNTIL:
             self._next = int(SPARSER * iteration) + 1
         modules = find_code(estimate, self._version) if self._matched else estimate
-        self._note(modules, iteration, seconds, began)
+        searched = time.perf_counter() - began if self._matched else None
+        self._note(modules, iteration, seconds, began, searched)
         self._away += time.perf_counter() - began
         read = self.iterations_to_read is not None
         return read and (self._matched or self.best_accuracy == 1.0)
@@ -77,7 +82,14 @@ class Watcher:
         if modules is not None:
             self.best_accuracy = max(bit_accuracy(signs(modules), self._truth), self.best_accuracy or 0.0)
 
-    def _note(self, modules: NDArray[Any] | None, iteration: int, seconds: float, began: float) -> None:
+    def _note(
+        self,
+        modules: NDArray[Any] | None,
+        iteration: int,
+        seconds: float,
+        began: float,
+        searched: float | None,
+    ) -> None:
         """Take down what an iterate's modules are worth."""
         if modules is None or modules.shape != self._truth.modules.shape:
             return
@@ -89,6 +101,7 @@ class Watcher:
         if self.iterations_to_read is None and text_of(modules) == self._truth.text:
             self.iterations_to_read = iteration
             self.seconds_to_read = seconds + time.perf_counter() - began
+            self.search_seconds = searched
 
 
 def signs(modules: NDArray[Any]) -> Modules:
@@ -107,7 +120,8 @@ def run_trial(method: Method, seen: Any, sequence: Sequence) -> tuple[Trial, Out
     truth, version = sequence.truth, sequence.entry.version
     watcher = Watcher(truth, version, sequence.entry.level, matched=method.matched)
     outcome = method.read(seen, watcher)
-    seconds = watcher.seconds
+    # what a method was shown to do after it had ended is not its time
+    seconds = watcher.seconds_to_converge or watcher.seconds
     modules, text, image_text = outcome.modules, outcome.text, None
     if method.matched and outcome.image is not None:
         modules = find_code(outcome.image, version)
@@ -136,11 +150,21 @@ def run_trial(method: Method, seen: Any, sequence: Sequence) -> tuple[Trial, Out
         seconds=seconds,
         windows=outcome.windows,
         confidence=outcome.confidence,
-        events_per_edge=events_per_edge(seen, sequence) if isinstance(seen, Window) else None,
+        events_per_edge=events_used(seen, method.windows, outcome.windows, sequence),
         start=outcome.start,
         pose_iterations=outcome.pose_iterations,
         iterations_to_few=watcher.iterations_to_few,
+        search_seconds=outcome.search_seconds if watcher.search_seconds is None else watcher.search_seconds,
     ), outcome
+
+
+def events_used(seen: Any, windows: int, used: int, sequence: Sequence) -> float | None:
+    """Events per edge of the first ``used`` of the ``windows`` that a method was given; None of a frame."""
+    if not isinstance(seen, Window):
+        return None
+    parts = [seen] if used == windows else [cut(seen, windows, index) for index in range(used)]
+    counts = [events_per_edge(part, sequence) for part in parts]
+    return None if None in counts else sum(count for count in counts if count is not None)
 
 
 def events_per_edge(window: Window, sequence: Sequence) -> float | None:

@@ -105,7 +105,7 @@ def test_a_code_shows_in_the_middle_slice():
     )  # fmt: skip
     method = Bardow(BardowConfig(slices=32), iterations=15)
     seen = []
-    outcome = method.read(make_window(made.events, 0, 8000), lambda i, image: seen.append(i) or True)
+    outcome = method.read(make_window(made.events, 0, 8000), lambda i, image, _: seen.append(i) or True)
     assert method.windows == 32 and seen == list(range(1, len(seen) + 1)) and len(seen) <= 15
     modules = find_code(outcome.image, 1)
     true = np.where(made.truth["truth"]["modules"] > 0, -1, 1)

@@ -87,7 +87,8 @@ def test_own_reads(recording, windows):
     method = Own(windows=windows)
     seen = []
     outcome = method.read(
-        make_window(recording.events, 3000, 3000 + 250 * windows), lambda i, q: seen.append(q.shape) or True
+        make_window(recording.events, 3000, 3000 + 250 * windows),
+        lambda i, q, _: seen.append(q.shape) or True,
     )
     assert outcome.text == TEXT and outcome.windows == 1 and outcome.confidence > 0.999
     assert seen == [(25, 25)]
@@ -95,7 +96,7 @@ def test_own_reads(recording, windows):
 
 def test_the_paper_s_descent_reads_and_shows_its_iterations(window):
     seen = []
-    outcome = Descent(VERSION).read(window, lambda i, q: seen.append(i) or i >= 8)
+    outcome = Descent(VERSION).read(window, lambda i, q, _: seen.append(i) or i >= 8)
     assert outcome.text == TEXT and outcome.converged
     assert seen == list(range(1, len(seen) + 1)) and 8 <= len(seen) <= 60
 
@@ -106,13 +107,12 @@ def test_integrating_reads(window):
 
 
 def test_decaying_events():
-    empty = np.empty(0)
     events = EventArray(
         np.array([0, 50, 100]), np.array([0, 1, 1], np.uint16), np.array([0, 0, 0], np.uint16),
         np.array([1, -1, -1], np.int8), 2, 1,
     )  # fmt: skip
     image = accumulate(make_window(events, 0, 100 + 1), 1e-4)
-    assert image.shape == (1, 2) and empty.size == 0
+    assert image.shape == (1, 2)
     np.testing.assert_allclose(image[0, 0], np.exp(-1.01), rtol=1e-4)
     np.testing.assert_allclose(image[0, 1], -np.exp(-0.51) - np.exp(-0.01), rtol=1e-4)
 
@@ -167,7 +167,7 @@ def test_descending_without_the_code_is_the_derivative_of_equation_7():
 
 def test_without_the_code_space_the_image_shows_the_code(window, recording):
     seen = []
-    outcome = WithoutQr().read(window, lambda i, image: seen.append(i) or True)
+    outcome = WithoutQr().read(window, lambda i, image, _: seen.append(i) or True)
     assert outcome.converged and 5 < len(seen) < 300
     modules = find_code(outcome.image, VERSION)
     assert np.mean(np.sign(modules) == true_modules(recording)) > 0.97

@@ -13,10 +13,13 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from evqr.baselines.method import Outcome
+from evqr.dataset.manifest import load_manifest, load_sequence
 from evqr.errors import UsageError
 from evqr.evaluate import cell as cells_module
 from evqr.evaluate.cell import Cell, run_cells
 from evqr.evaluate.table import TIMES, table_of
+from evqr.evaluate.trial import run_trial
 
 METHODS = ("image", "evqr", "evqr_fused", "integrate")
 CELLS = [
@@ -48,6 +51,32 @@ def test_a_trial_knows_its_events(results):
     trial = next(r for r in results if r.cell.method == "evqr").trials[0]
     assert 3.0 < trial.events_per_edge < 100.0
     assert trial.confidence > 0.999 and trial.modules.dtype == np.int8
+    fused = next(r for r in results if r.cell.method == "evqr_fused").trials[0]
+    # read from the first of its windows: the events of the others were not needed
+    assert fused.windows == 1 and 3.0 < fused.events_per_edge < 1.5 * trial.events_per_edge
+
+
+def test_time_ends_where_a_method_ends(tiny):
+    sequence = load_sequence(tiny, load_manifest(tiny)[0])
+
+    class Slow:
+        takes, windows, matched = "events", 1, False
+
+        def read(self, seen, watch):
+            for iteration in (1, 2, 3):
+                watch(iteration, np.zeros((21, 21)), iteration >= 2)
+                time.sleep(0.2)
+            return Outcome(search_seconds=0.125)
+
+    trial, _ = run_trial(Slow(), sequence.window(0, 1), sequence)
+    assert 0.19 < trial.seconds < 0.4 and trial.search_seconds == 0.125
+
+
+def test_full_and_quick_runs_keep_cells_of_their_own():
+    names = {
+        replace(CELLS[0], trials=trials, quick=quick).name for trials in (None, 2, 5) for quick in (0, 1)
+    }
+    assert len(names) == 6
 
 
 def test_a_result_is_the_same_when_it_was_kept(tiny, tmp_path):

@@ -11,7 +11,7 @@ import pytest
 from click.testing import CliRunner
 
 from evqr import cli
-from evqr.dataset.manifest import load_manifest
+from evqr.dataset.manifest import load_manifest, save_manifest
 from evqr.evaluate.cell import Cell, CellResult
 from evqr.evaluate.details import details_of
 from evqr.evaluate.figures import figures_of
@@ -19,6 +19,7 @@ from evqr.evaluate.metrics import Trial
 from evqr.evaluate.paper import printed
 from evqr.evaluate.report import About, write_report
 from evqr.evaluate.table import csv_of, markdown_of, rows_of, table_of
+from evqr.picture import FALSE_DARK, FALSE_LIGHT
 
 
 def made_up(tiny, method, *, wrong=0, **changes):
@@ -72,7 +73,7 @@ def test_the_table_is_in_the_paper_s_order_with_its_numbers_beside(results):
     assert [(line.method, line.angle) for line in lines] == [("descent", 0), ("descent", 30), ("evqr", 30)]
     rows = rows_of(lines)
     assert rows[1][3:6] == ["2 (150)", "100.0 (99.2)", "0.25 (0.75)"]
-    assert rows[2][9] == "0.0 (96.7)" and rows[3][9] == "100.0" and rows[2][5] == "- (0.34)"
+    assert rows[2][10] == "0.0 (96.7)" and rows[3][10] == "100.0" and rows[2][5] == "- (0.34)"
     assert rows[0][6] == "median time [s]" and rows[1][6] == "0.25" and rows[2][6] == "-"
     markdown = markdown_of(lines).splitlines()
     assert markdown[2].startswith("| faster | Ours (the paper's) | 0 |") and markdown[3].startswith(
@@ -132,9 +133,31 @@ def test_all_figures_are_drawn(results):
 
 
 def test_wrong_modules_are_magenta_and_green(results):
+    from matplotlib.colors import to_hex
+
     figure = figures_of(results, [])["figure8"]
-    kinds = [axes.images[0].get_array() for axes in figure.axes if axes.images]
-    assert sorted(int((kind > 1).sum()) for kind in kinds) == [0, 0, 30]
+    images = [axes.images[0] for axes in figure.axes if axes.images]
+    shown = [
+        [to_hex(colour) for colour in image.to_rgba(image.get_array()).reshape(-1, 4)] for image in images
+    ]
+    wrong = results[1].trials[0].modules[wrong_modules(results[1])]
+    dark, light = int((wrong < 0).sum()), int((wrong > 0).sum())
+    assert dark and light and dark + light == 30
+    # magenta: estimated dark; green: estimated light
+    assert sorted((colours.count(FALSE_DARK), colours.count(FALSE_LIGHT)) for colours in shown) == [
+        (0, 0), (0, 0), (dark, light),
+    ]  # fmt: skip
+
+
+def wrong_modules(result):
+    return result.trials[0].modules != result.truth.modules
+
+
+def test_a_cell_where_nothing_was_found_says_so(tiny, results):
+    nothing = made_up(tiny, "descent", scene="slower")
+    nothing = replace(nothing, trials=(Trial(),))
+    figure = figures_of([*results, nothing], [])["figure8"]
+    assert [text.get_text() for axes in figure.axes for text in axes.texts].count("none converged") == 1
 
 
 def test_the_report_holds_its_pictures(results, tmp_path):
@@ -150,6 +173,7 @@ def test_the_report_holds_its_pictures(results, tmp_path):
     )
     told = json.loads((tmp_path / "table1.json").read_text())
     assert told["about"]["command"] == "evqr table1" and len(told["lines"]) == 3
+    assert told["details"][0]["rows"][0][0] == "events per edge" and told["sweep"] == []
     markdown = (tmp_path / "table1.md").read_text()
     assert "| faster |" in markdown
     assert page.count("<table>") == 2 and "<th>events per edge</th>" in page and "<td>50 % of 4</td>" in page
@@ -170,6 +194,26 @@ def test_table1_from_the_command_line(tiny, tmp_path):
     assert [(line["method"], line["trials"]) for line in lines] == [
         ("evqr", 2), ("evqr", 2), ("integrate", 1), ("integrate", 1),
     ]  # fmt: skip
+
+
+def test_the_sweep_from_the_command_line(tiny, tmp_path):
+    options = ["--methods", "integrate", "--trials", "1", "--sweep"]
+    done = run("table1", "--dataset", tiny, "--out", tmp_path, *options)
+    assert done.exception is None, done.exception
+    told = json.loads((tmp_path / "table1.json").read_text())
+    assert {(cell["stretch"], cell["keep"]) for cell in told["sweep"]} == {
+        (0.5, 1.0), (2.0, 1.0), (1.0, 0.5), (1.0, 0.35), (1.0, 0.25), (1.0, 0.18), (1.0, 0.12),
+    }  # fmt: skip
+    assert len(told["sweep"]) == 14 and len(told["lines"]) == 2
+
+
+def test_two_recordings_of_one_cell_are_refused(tiny, tmp_path):
+    entries = load_manifest(tiny)
+    again = [replace(entries[0], name="belt again", recording=str(tiny / entries[0].recording))]
+    kept = [replace(entry, recording=str(tiny / entry.recording)) for entry in entries]
+    save_manifest(tmp_path, kept + again)
+    done = run("table1", "--dataset", tmp_path, "--out", tmp_path / "out")
+    assert "'belt-00' and 'belt again' both show 'TINY' at 0 deg" in str(done.exception)
 
 
 @pytest.mark.parametrize(
