@@ -9,7 +9,7 @@ For adj = d loss / d image, and the pixel's slopes image_du, image_dv:
 
 Each row of pixels sums its part of adj_W; a second pass adds the rows up.  On the CPU the same pass adds to
 the nodes, atomically, which there is a plain addition.  On a GPU each node gathers from the pixels that can
-see it.  Both repeat bit for bit.
+see it, in a pass of its own.  Both repeat bit for bit.
 """
 
 from functools import cache
@@ -20,7 +20,6 @@ from evqr_kernels.warp_backend.language import (
     clear,
     last_axis_as_vector,
     launch,
-    launch_bounds,
     module_of,
     neighbours,
     vector,
@@ -92,11 +91,11 @@ def make_node(dtype: type) -> wp.Function:
 
 @cache
 def make_slopes(dtype: type, taps: int) -> wp.Function:
-    """Build image_du and image_dv at a position, in as few registers as a GPU has for each thread.
+    """Build the slopes of the image at a position, image_du and image_dv, for GPUs.
 
-    Blurred modules: along both axes from edge to edge, until they are 0 from there on.  What a row of nodes
-    adds to either slope is summed before the next row's edge; edges along u are computed again for each row,
-    since kept they would take more registers than all the rest.
+    Of blurred modules only numbers are kept, no profiles: a thread has 64 registers.  Rows of nodes, and in
+    each the nodes, are visited one by one, for as long as an edge is in sight; a module is between the edge
+    before and the edge after.  Edges along u are computed again for each row.
     """
     node = make_node(dtype)
     if taps == 2:
@@ -138,13 +137,13 @@ def make_slopes(dtype: type, taps: int) -> wp.Function:
         inverse_sigma: dtype,
         reach: dtype,
     ):
-        """Give what one row of nodes shows, and its slope times sigma."""
+        """Give what a row of nodes adds up to at u, and sigma times its slope."""
         value = dtype(0.0)
         slope = dtype(0.0)
         before = dtype(1.0)
         before_slope = dtype(0.0)
-        i = int(wp.floor(u - reach))
-        z = dtype(end)
+        i = int(wp.floor(u - reach))  # before the first that is in sight
+        z = dtype(0.0)
         while z > -end:
             i += 1
             q = node(grid, beyond, b, j, i)
@@ -166,7 +165,7 @@ def make_slopes(dtype: type, taps: int) -> wp.Function:
         before = dtype(1.0)
         before_slope = dtype(0.0)
         j = int(wp.floor(v - reach))
-        z = dtype(end)
+        z = dtype(0.0)
         while z > -end:
             j += 1
             value, slope = row_of_modules(grid, beyond, b, j, u, inverse_sigma, reach)
@@ -192,10 +191,7 @@ def make_adjoint_of_rows(dtype: type, parameters: int, taps: int) -> wp.Kernel:
     along_map = make_along_map(dtype)
     map_adjoint = make_map_adjoint(dtype, parameters)
 
-    @wp.kernel(
-        module=module_of(f"render_adjoint_{parameters}_{taps}", dtype),
-        launch_bounds=launch_bounds(dtype),
-    )
+    @wp.kernel(module=module_of(f"render_adjoint_{parameters}_{taps}", dtype))
     def adjoint_of_rows(
         grid: wp.array3d(dtype=dtype),
         to_grid: wp.array(dtype=vec_map),
@@ -207,12 +203,13 @@ def make_adjoint_of_rows(dtype: type, parameters: int, taps: int) -> wp.Kernel:
     ):
         b, y = wp.tid()
         w = to_grid[b]
+        beyond = outside[b]
         at_0 = vec3()
         at_x = vec3()
         for x in range(adj_image.shape[2]):
             u, v, inverse_depth = look(w, dtype(x), dtype(y))
             if near(u, v, inverse_depth, reach, grid.shape[1], grid.shape[2]):
-                du, dv = slopes(grid, outside[b], b, u, v, sigma, reach)
+                du, dv = slopes(grid, beyond, b, u, v, sigma, reach)
                 along = along_map(adj_image[b, y, x] * inverse_depth, u, v, du, dv)
                 at_0 += along
                 at_x += dtype(x) * along
