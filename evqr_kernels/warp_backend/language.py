@@ -68,13 +68,12 @@ def module_of(concept: str, dtype: type) -> wp.Module:
     return module
 
 
-def launch_bounds(dtype: type, narrow: bool = True) -> tuple[int, int]:
+def launch_bounds(dtype: type) -> tuple[int, int]:
     """Give the threads of a GPU's block, and how many blocks shall fit on a multiprocessor.
 
-    For kernels whose compiler would take more than 64 registers, or 128 in double precision, unasked; those
-    that are not ``narrow`` need more.
+    For kernels whose compiler would take more than 64 registers, or 128 in double precision, unasked.
     """
-    return 256, (4 if dtype is wp.float32 else 2) if narrow else 1
+    return 256, 4 if dtype is wp.float32 else 2
 
 
 @cache

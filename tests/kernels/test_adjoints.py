@@ -44,23 +44,6 @@ def test_render_in_the_map(parameters, sigma, placed, rng):
     assert_differences(loss, to_grid, adj_map, directions)
 
 
-@every_render
-@every_profile
-def test_render_adjoint_variants_agree(parameters, sigma, placed, spec, dtype, rng):
-    """Nodes gather on GPUs, which a CPU does not take by itself."""
-    if placed.backend.name != "warp":
-        pytest.skip("only the Warp backend has two variants")
-    from evqr_kernels.warp_backend.render_adjoint import launch_nodes
-
-    back = cases.render_code_adjoint(rng, dtype, parameters, sigma)
-    _, to_grid, _, _, adj_image = back.inputs
-    put = placed.backend.from_host
-    adj_grid = put(back.outputs[1], placed.device)
-    launch_nodes(put(to_grid, placed.device), sigma, put(adj_image, placed.device), adj_grid)
-    placed.backend.synchronize(placed.device)
-    assert_close(np.array(placed.backend.to_host(adj_grid)), back.run(spec)[0])
-
-
 @every_profile
 def test_render_of_a_singular_map(sigma, placed, spec, dtype, rng):
     """All pixels look at one line, or one place, of the grid: every node visits every pixel."""
