@@ -74,7 +74,7 @@ class IntegrateReading:
 
 
 class Integrate:
-    """Row 6a of the table: compensated events (Gallego et al. 2018), integrated along the motion, zxing-cpp."""
+    """Row 6a: compensated events (Gallego et al. 2018), integrated along the motion, zxing-cpp."""
 
     takes: Literal["events"] = "events"
     windows = 1

@@ -57,7 +57,7 @@ class WithoutQrConfig:
 
 
 class WithoutQr:
-    """Luminance and motion from one window (Nagata et al. 2020, equation 7); the code is found in the image."""
+    """Luminance and motion of one window (Nagata et al. 2020, equation 7); codes are found in the image."""
 
     takes: Literal["events"] = "events"
     windows = 1
