@@ -1,29 +1,50 @@
 """What a GPU runs where a CPU has a variant of its own: the CPU runs it too, and finds the same."""
 
+import importlib
+import pkgutil
+
+import numpy as np
 import pytest
 
 from evqr_kernels import get_backend
 
 from . import cases
 from .helpers import Runner, assert_close
+from .test_align import EXACT, align
 
 pytest.importorskip("warp")
 
-from evqr_kernels.warp_backend import banded, motion, render, render_adjoint
+from evqr_kernels import warp_backend
+from evqr_kernels.warp_backend import align as warp_align
+from evqr_kernels.warp_backend import render, render_adjoint
+
+MODULES = [
+    importlib.import_module(f"{warp_backend.__name__}.{found.name}")
+    for found in pkgutil.iter_modules(warp_backend.__path__)
+]
+CHOSEN = [
+    (module, name)
+    for module in MODULES
+    for name in vars(module)
+    if name in ("CPU_BLOCK", "CPU_ROWS", "CPU_RUN")
+]
+"""How much one thread does on a CPU; on a GPU as much as the constant for GPUs says, or else 1."""
 
 
 @pytest.fixture
 def warp_as_on_gpus(monkeypatch):
     """Warp on the CPU, with what suits GPUs."""
-    for module, names in ((motion, ("BLOCK", "ROWS")), (banded, ("BLOCK",))):
-        for name in names:
-            monkeypatch.setattr(module, f"CPU_{name}", getattr(module, f"GPU_{name}"))
-    make_render_code = render.make_render_code
+    for module, name in CHOSEN:
+        monkeypatch.setattr(module, name, getattr(module, name.replace("CPU", "GPU"), 1))
 
-    def make_as_on_gpus(*args, on_cpu):
-        return make_render_code(*args, on_cpu=False)
+    def as_on_gpus(make, **variant):
+        return lambda *args, **chosen: make(*args, **{**chosen, **variant})
 
-    monkeypatch.setattr(render, "make_render_code", make_as_on_gpus)
+    for module, make, variant in (
+        (render, "make_render_code", {"on_cpu": False}),
+        (warp_align, "make_align_poses", {"unrolled": False}),
+    ):
+        monkeypatch.setattr(module, make, as_on_gpus(getattr(module, make), **variant))
 
     def launch_as_on_gpus(grid, to_grid, outside, sigma, adj_image, rows_out, adj_grid_out):
         render_adjoint.launch_rows(grid, to_grid, outside, sigma, adj_image, rows_out)
@@ -33,15 +54,15 @@ def warp_as_on_gpus(monkeypatch):
     return Runner(get_backend("warp"), "cpu")
 
 
-@pytest.mark.parametrize(
-    "case",
-    [
-        cases.motion_correlation,
-        cases.solve_code_banded,
-        cases.render_code,
-        cases.render_code_tilted_smooth,
-    ],
-)
+def test_every_choice_is_known():
+    """Choices by device that have another name would go untested."""
+    chosen = {module.__name__.rpartition(".")[2] for module, _ in CHOSEN}
+    assert {"banded", "lag", "lag_adjoint", "motion", "peaks", "pose", "residual", "templates"} <= chosen
+    told = {name for module in MODULES for name in vars(module) if name.startswith(("CPU_", "GPU_"))}
+    assert {name[4:] for name in told} <= {"BLOCK", "ROWS", "RUN", "FLAGS"}
+
+
+@pytest.mark.parametrize("case", [*cases.CALLS, cases.solve_code_banded], ids=lambda case: case.__name__)
 def test_gpu_variants(case, warp_as_on_gpus, spec, dtype, rng):
     assert_same(case(rng, dtype), warp_as_on_gpus, spec)
 
@@ -50,6 +71,16 @@ def test_gpu_variants(case, warp_as_on_gpus, spec, dtype, rng):
 @pytest.mark.parametrize("sigma", [0.0, 0.1, 0.25, 0.9])
 def test_render_adjoint_as_on_gpus(parameters, sigma, warp_as_on_gpus, spec, dtype, rng):
     assert_same(cases.render_code_adjoint(rng, dtype, parameters, sigma), warp_as_on_gpus, spec)
+
+
+@pytest.mark.usefixtures("warp_as_on_gpus")
+@pytest.mark.parametrize("tilt", [False, True])
+def test_align_as_on_gpus(tilt, dtype):
+    options = {"max_iterations": 3, "tolerance": 0.0}
+    poses, values = align("warp", dtype, tilt, **options)
+    expected, expected_values = align("numpy", dtype, tilt, **options)
+    assert_close(poses, expected, EXACT[np.dtype(dtype)])
+    assert_close(values[:, :3], expected_values[:, :3], EXACT[np.dtype(dtype)])
 
 
 def assert_same(call, warp_as_on_gpus, spec):
