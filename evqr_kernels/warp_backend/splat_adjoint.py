@@ -23,6 +23,7 @@ import warp as wp
 
 from evqr_kernels.config import SplatConfig
 from evqr_kernels.warp_backend.language import (
+    clear,
     last_axis_as_vector,
     launch,
     launch_bounds,
@@ -84,9 +85,20 @@ def make_gauss_around(dtype: type, cfg: SplatConfig) -> wp.Function:
 
 
 @cache
-def make_row_from(dtype: type, columns: int) -> wp.Function:
-    """Build the look-up of ``columns`` pixels of a row from the one at x on, 0 if the row is outside."""
+def make_row_from(dtype: type, columns: int, on_cpu: bool) -> wp.Function:
+    """Build the look-up of ``columns`` pixels of a row from the one at x on, 0 if the row is outside.
+
+    ``on_cpu``: without a branch, for CPUs; on a GPU the loads of all rows at once would take the registers.
+    """
     vec_columns = vector(columns, dtype)
+    if on_cpu:
+
+        @wp.func
+        def row_or_nearest(rows: wp.array3d(dtype=vec_columns), window: int, y: int, x: int) -> vec_columns:
+            nearest = wp.clamp(y, 0, rows.shape[1] - 1)
+            return wp.where(y == nearest, dtype(1.0), dtype(0.0)) * rows[window, nearest, x]
+
+        return row_or_nearest
 
     @wp.func
     def row_from(rows: wp.array3d(dtype=vec_columns), window: int, y: int, x: int) -> vec_columns:
@@ -99,7 +111,7 @@ def make_row_from(dtype: type, columns: int) -> wp.Function:
 
 
 @cache
-def make_smooth(dtype: type, cfg: SplatConfig, columns: int) -> wp.Function:
+def make_smooth(dtype: type, cfg: SplatConfig, columns: int, on_cpu: bool) -> wp.Function:
     """Build the function that gives S at (cx, cy), S_x, S_y, S_xx, S_xy and S_yy.
 
     ``rows``: `neighbours` of the image.  Near its sides the ``columns`` that are read are the last ones
@@ -111,7 +123,7 @@ def make_smooth(dtype: type, cfg: SplatConfig, columns: int) -> wp.Function:
     gauss_around = make_gauss_around(dtype, cfg)
     shrink = wp.constant(dtype(cfg.gauss(1.0) ** 2))
     splat_tap = make_splat_tap(dtype, cfg)
-    row_from = make_row_from(dtype, columns)
+    row_from = make_row_from(dtype, columns, on_cpu)
 
     @wp.func
     def smooth(rows: wp.array3d(dtype=vec_columns), window: int, cx: dtype, cy: dtype):
@@ -167,22 +179,28 @@ def make_smooth(dtype: type, cfg: SplatConfig, columns: int) -> wp.Function:
 
 
 @cache
-def make_splat_events_adjoint(dtype: type, cfg: SplatConfig, parameters: int, columns: int) -> wp.Kernel:
+def make_splat_events_adjoint(
+    dtype: type, cfg: SplatConfig, parameters: int, columns: int, on_cpu: bool
+) -> wp.Kernel:
     """Build the adjoint for a precision, a splat and a motion; launch: one thread per (window, chunk).
 
     ``columns``: pixels of a row that are read at once, all that a splat reaches or all there are.
+    ``on_cpu``: the variant for CPUs, which hold more in registers.
     """
     margin = 2 * cfg.reach + 1
     vec_columns = vector(columns, dtype)
     vec_parameters = vector(parameters, dtype)
-    smooth = make_smooth(dtype, cfg, columns)
+    smooth = make_smooth(dtype, cfg, columns, on_cpu)
     transport = make_transport(dtype)
     middle = make_middle(dtype)
     velocity = make_velocity(dtype, parameters)
     velocity_adjoint = make_velocity_adjoint(dtype, parameters)
 
     @wp.kernel(
-        module=module_of(f"splat_adjoint_{parameters}_{columns}_{cfg.epsilon_px:g}_{cfg.radius_px:g}", dtype),
+        module=module_of(
+            f"splat_adjoint_{parameters}_{columns}_{cfg.epsilon_px:g}_{cfg.radius_px:g}{'_on_cpu' * on_cpu}",
+            dtype,
+        ),
         launch_bounds=launch_bounds(dtype),
     )
     def splat_events_adjoint(
@@ -252,9 +270,13 @@ def splat_events_adjoint(
     cfg: SplatConfig,
 ) -> None:  # fmt: skip
     """Launch both passes; overwrites."""
+    if not adj_image.size:  # no pixel to read
+        clear(adj_weight_out)
+        clear(adj_motion_out)
+        return
     columns = min(2 * reach_of(x.dtype, cfg) + 1, adj_image.shape[2])
     launch(
-        make_splat_events_adjoint(x.dtype, cfg, motion.shape[1], columns),
+        make_splat_events_adjoint(x.dtype, cfg, motion.shape[1], columns, on_cpu=x.device.is_cpu),
         chunks_out.shape[:2],
         inputs=[
             x,

@@ -1,5 +1,7 @@
 """What a GPU runs where a CPU has a variant of its own: the CPU runs it too, and finds the same."""
 
+from functools import partial
+
 import pytest
 
 from evqr_kernels import get_backend
@@ -9,7 +11,11 @@ from .helpers import Runner, assert_close
 
 pytest.importorskip("warp")
 
-from evqr_kernels.warp_backend import banded, motion, render
+from evqr_kernels.warp_backend import banded, motion, render, splat_adjoint
+
+
+def _as_on_gpus(make, *args, on_cpu):
+    return make(*args, on_cpu=False)
 
 
 @pytest.fixture
@@ -18,12 +24,8 @@ def warp_as_on_gpus(monkeypatch):
     for module, names in ((motion, ("BLOCK", "ROWS")), (banded, ("BLOCK",))):
         for name in names:
             monkeypatch.setattr(module, f"CPU_{name}", getattr(module, f"GPU_{name}"))
-    make_render_code = render.make_render_code
-
-    def make_as_on_gpus(*args, on_cpu):
-        return make_render_code(*args, on_cpu=False)
-
-    monkeypatch.setattr(render, "make_render_code", make_as_on_gpus)
+    for module, name in ((render, "make_render_code"), (splat_adjoint, "make_splat_events_adjoint")):
+        monkeypatch.setattr(module, name, partial(_as_on_gpus, getattr(module, name)))
     return Runner(get_backend("warp"), "cpu")
 
 
@@ -32,6 +34,8 @@ def warp_as_on_gpus(monkeypatch):
     [
         cases.motion_correlation,
         cases.solve_code_banded,
+        cases.splat_events_adjoint,
+        cases.splat_events_affine_adjoint,
         cases.render_code,
         cases.render_code_tilted_smooth,
     ],
