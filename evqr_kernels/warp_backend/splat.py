@@ -25,7 +25,13 @@ from functools import cache
 import warp as wp
 
 from evqr_kernels.config import SplatConfig
-from evqr_kernels.warp_backend.language import launch, module_of, neighbours, vector
+from evqr_kernels.warp_backend.language import (
+    last_axis_as_vector,
+    launch,
+    module_of,
+    neighbours,
+    vector,
+)
 from evqr_kernels.warp_backend.transport import make_middle, make_transport, make_velocity
 
 CHUNK = 64
@@ -119,6 +125,7 @@ def make_splat_events(dtype: type, cfg: SplatConfig, parameters: int) -> wp.Kern
     reach = cfg.reach
     taps = 2 * reach + 1
     vec_taps = vector(taps, dtype)
+    vec_parameters = vector(parameters, dtype)
     splat_taps = make_splat_taps(dtype, cfg)
     transport = make_transport(dtype)
     middle = make_middle(dtype)
@@ -131,7 +138,7 @@ def make_splat_events(dtype: type, cfg: SplatConfig, parameters: int) -> wp.Kern
         t: wp.array(dtype=dtype),
         weight: wp.array(dtype=dtype),
         window_ptr: wp.array(dtype=wp.int32),
-        motion: wp.array2d(dtype=dtype),
+        motion: wp.array(dtype=vec_parameters),
         lag: wp.array2d(dtype=dtype),
         frame: wp.array2d(dtype=dtype),
         image_out: wp.array3d(dtype=dtype),
@@ -143,7 +150,7 @@ def make_splat_events(dtype: type, cfg: SplatConfig, parameters: int) -> wp.Kern
         inverse_scale = dtype(1.0) / scale
         dx = x[e] - middle(frame[window, 0], scale, image_out.shape[2])
         dy = y[e] - middle(frame[window, 1], scale, image_out.shape[1])
-        motion_x, motion_y = velocity(motion, window, dx, dy)
+        motion_x, motion_y = velocity(motion[window], dx, dy)
         cx = transport(x[e], t[e], motion_x, frame[window, 0], inverse_scale)
         cy = transport(y[e], t[e], motion_y, frame[window, 1], inverse_scale)
         height = image_out.shape[1]
@@ -187,7 +194,7 @@ def splat_events(x, y, t, weight, window_ptr, motion, lag, frame, image_out, cfg
     launch(
         make_splat_events(x.dtype, cfg, motion.shape[1]),
         x.shape[0],
-        inputs=[x, y, t, weight, window_ptr, motion, lag, frame],
+        inputs=[x, y, t, weight, window_ptr, last_axis_as_vector(motion), lag, frame],
         outputs=[image_out, neighbours(image_out, 2 * cfg.reach + 1)],
         device=x.device,
     )

@@ -1,8 +1,13 @@
 """Adjoint of ``splat_events`` in the weights and the motion; the formulas are in ``splat.py``.
 
 A gather: each thread takes a chunk of a window's events and reads the image's adjoint around each, so there
-is no atomic, and the sums over chunks are added up in a second pass.  It needs the profile's second
-derivative,
+is no atomic, and the sums over chunks are added up in a second pass.  With S the image's adjoint smoothed
+with N, at the event, and lag the vector ``lag_i d``,
+
+    adj_w = S - lag . grad S,    adj_v = t / scale w (grad S - hess S lag)
+
+so that S, its gradient and its second derivatives are all that is summed over pixels.  They need the
+profile's second derivative,
 
     g''(r) = gauss(r) / c ((r^2 / eps^2 - 1) q k + 2 (r / R)^2 (2 q / eps^2 + 4 / R^2)),
     q = 1 - (r / R)^2,    k = q / eps^2 + 4 / R^2
@@ -11,12 +16,21 @@ The splat is separable: the pixels around an event are summed along columns firs
 and what is left is one row for each of the three.
 """
 
+import math
 from functools import cache
 
 import warp as wp
 
 from evqr_kernels.config import SplatConfig
-from evqr_kernels.warp_backend.language import launch, module_of, neighbours, vector
+from evqr_kernels.warp_backend.language import (
+    clear,
+    last_axis_as_vector,
+    launch,
+    launch_bounds,
+    module_of,
+    neighbours,
+    vector,
+)
 from evqr_kernels.warp_backend.sums import add_partials
 from evqr_kernels.warp_backend.transport import (
     make_middle,
@@ -24,6 +38,12 @@ from evqr_kernels.warp_backend.transport import (
     make_velocity,
     make_velocity_adjoint,
 )
+
+
+def reach_of(dtype: type, cfg: SplatConfig) -> int:
+    """Give the pixels on either side that matter: beyond, a wide splat's Gaussian is lost in rounding."""
+    rounding = 2.0**-24 if dtype is wp.float32 else 2.0**-53
+    return min(cfg.reach, math.ceil(cfg.epsilon_px * math.sqrt(-2.0 * math.log(rounding))))
 
 
 @cache
@@ -46,50 +66,142 @@ def make_splat_tap(dtype: type, cfg: SplatConfig) -> wp.Function:
 
 
 @cache
-def make_row_around(dtype: type, taps: int) -> wp.Function:
-    """Build the look-up of ``taps`` pixels of a row, 0 where they are outside the image."""
-    vec_taps = vector(taps, dtype)
+def make_gauss_around(dtype: type, cfg: SplatConfig) -> wp.Function:
+    """Build the start of a walk over taps, away from the middle one, which is ``-offset`` px off.
+
+    It gives the Gaussian there, and by what it grows to the tap on the right and to that on the left; with
+    each further step that shrinks by the Gaussian's value at a pixel, squared: two exps, not one a tap.
+    """
+    norm = wp.constant(dtype(cfg.norm))
+    inverse_variance = wp.constant(dtype(1.0 / cfg.epsilon_px**2))
+    shrink = wp.constant(dtype(cfg.gauss(1.0) ** 2))
 
     @wp.func
-    def row_around(
-        image: wp.array3d(dtype=dtype), rows: wp.array3d(dtype=vec_taps), window: int, y: int, x: int
-    ) -> vec_taps:
-        values = vec_taps()
-        if y >= 0 and y < image.shape[1]:
-            if x >= 0 and x + taps <= image.shape[2]:
-                values = rows[window, y, x]
-            else:
-                for i in range(taps):
-                    if x + i >= 0 and x + i < image.shape[2]:
-                        values[i] = image[window, y, x + i]
-        return values
+    def gauss_around(offset: dtype):
+        up = wp.exp((offset - dtype(0.5)) * inverse_variance)
+        return norm * wp.exp(dtype(-0.5) * offset * offset * inverse_variance), up, shrink / up
 
-    return row_around
+    return gauss_around
 
 
 @cache
-def make_splat_events_adjoint(dtype: type, cfg: SplatConfig, parameters: int) -> wp.Kernel:
+def make_row_from(dtype: type, columns: int, on_cpu: bool) -> wp.Function:
+    """Build the look-up of ``columns`` pixels of a row from the one at x on, 0 if the row is outside.
+
+    ``on_cpu``: without a branch, for CPUs; on a GPU the loads of all rows at once would take the registers.
+    """
+    vec_columns = vector(columns, dtype)
+    if on_cpu:
+
+        @wp.func
+        def row_or_nearest(rows: wp.array3d(dtype=vec_columns), window: int, y: int, x: int) -> vec_columns:
+            nearest = wp.clamp(y, 0, rows.shape[1] - 1)
+            return wp.where(y == nearest, dtype(1.0), dtype(0.0)) * rows[window, nearest, x]
+
+        return row_or_nearest
+
+    @wp.func
+    def row_from(rows: wp.array3d(dtype=vec_columns), window: int, y: int, x: int) -> vec_columns:
+        values = vec_columns()
+        if y >= 0 and y < rows.shape[1]:
+            values = rows[window, y, x]
+        return values
+
+    return row_from
+
+
+@cache
+def make_smooth(dtype: type, cfg: SplatConfig, columns: int, on_cpu: bool) -> wp.Function:
+    """Build the function that gives S at (cx, cy), S_x, S_y, S_xx, S_xy and S_yy.
+
+    ``rows``: `neighbours` of the image.  Near its sides the ``columns`` that are read are the last ones
+    inside: pixels that are farther off than the splat reaches have profile 0.
+    """
+    reach = reach_of(dtype, cfg)
+    middle = columns // 2
+    vec_columns = vector(columns, dtype)
+    gauss_around = make_gauss_around(dtype, cfg)
+    shrink = wp.constant(dtype(cfg.gauss(1.0) ** 2))
+    splat_tap = make_splat_tap(dtype, cfg)
+    row_from = make_row_from(dtype, columns, on_cpu)
+
+    @wp.func
+    def smooth(rows: wp.array3d(dtype=vec_columns), window: int, cx: dtype, cy: dtype):
+        row = int(wp.floor(cy + dtype(0.5)))
+        first = wp.clamp(int(wp.floor(cx + dtype(0.5))) - middle, 0, rows.shape[2] - 1)
+        by_g = vec_columns()
+        by_s = vec_columns()
+        by_c = vec_columns()
+        # one tap after another: the profiles of all at once would take the registers
+        offset = cy - dtype(row)
+        right, up, down = gauss_around(offset)
+        left = right
+        for k in range(wp.static(reach + 1)):
+            for side in range(2):
+                if side == 0 or k > 0:
+                    tap = wp.where(side == 0, k, -k)
+                    g, s, c = splat_tap(wp.where(side == 0, right, left), dtype(tap) - offset)
+                    values = row_from(rows, window, row + tap, first)
+                    by_g += g * values
+                    by_s += s * values
+                    by_c += c * values
+            right *= up
+            left *= down
+            up *= shrink
+            down *= shrink
+        value = dtype(0.0)
+        value_x = dtype(0.0)
+        value_y = dtype(0.0)
+        value_xx = dtype(0.0)
+        value_xy = dtype(0.0)
+        value_yy = dtype(0.0)
+        offset = cx - dtype(first + middle)
+        right, up, down = gauss_around(offset)
+        left = right
+        for k in range(wp.static(middle + 1)):
+            for side in range(2):
+                tap = wp.where(side == 0, k, -k)
+                if (side == 0 or k > 0) and middle + tap < columns:
+                    g, s, c = splat_tap(wp.where(side == 0, right, left), dtype(tap) - offset)
+                    value += g * by_g[middle + tap]
+                    value_x += s * by_g[middle + tap]
+                    value_y += g * by_s[middle + tap]
+                    value_xx += c * by_g[middle + tap]
+                    value_xy += s * by_s[middle + tap]
+                    value_yy += g * by_c[middle + tap]
+            right *= up
+            left *= down
+            up *= shrink
+            down *= shrink
+        return value, value_x, value_y, value_xx, value_xy, value_yy
+
+    return smooth
+
+
+@cache
+def make_splat_events_adjoint(
+    dtype: type, cfg: SplatConfig, parameters: int, columns: int, on_cpu: bool
+) -> wp.Kernel:
     """Build the adjoint for a precision, a splat and a motion; launch: one thread per (window, chunk).
 
-    ``rows``: `neighbours` of the image's adjoint.
+    ``columns``: pixels of a row that are read at once, all that a splat reaches or all there are.
+    ``on_cpu``: the variant for CPUs, which hold more in registers.
     """
-    reach = cfg.reach
-    taps = 2 * reach + 1
-    vec_taps = vector(taps, dtype)
+    margin = 2 * cfg.reach + 1
+    vec_columns = vector(columns, dtype)
     vec_parameters = vector(parameters, dtype)
-    registers = 80 if parameters == 2 else 96  # fewer would spill
-    splat_tap = make_splat_tap(dtype, cfg)
-    inverse_variance = wp.constant(dtype(1.0 / cfg.epsilon_px**2))
-    gauss_at_tap = wp.constant(vector(reach + 1, dtype)(*(cfg.norm * cfg.gauss(k) for k in range(reach + 1))))
-    row_around = make_row_around(dtype, taps)
+    smooth = make_smooth(dtype, cfg, columns, on_cpu)
     transport = make_transport(dtype)
     middle = make_middle(dtype)
     velocity = make_velocity(dtype, parameters)
     velocity_adjoint = make_velocity_adjoint(dtype, parameters)
 
     @wp.kernel(
-        module=module_of(f"splat_adjoint_{parameters}_{taps}_{cfg.epsilon_px:g}_{cfg.radius_px:g}", dtype),
-        cuda_max_registers=registers if dtype is wp.float32 else registers + 64,
+        module=module_of(
+            f"splat_adjoint_{parameters}_{columns}_{cfg.epsilon_px:g}_{cfg.radius_px:g}{'_on_cpu' * on_cpu}",
+            dtype,
+        ),
+        launch_bounds=launch_bounds(dtype),
     )
     def splat_events_adjoint(
         x: wp.array(dtype=dtype),
@@ -97,12 +209,12 @@ def make_splat_events_adjoint(dtype: type, cfg: SplatConfig, parameters: int) ->
         t: wp.array(dtype=dtype),
         weight: wp.array(dtype=dtype),
         window_ptr: wp.array(dtype=wp.int32),
-        motion: wp.array2d(dtype=dtype),
+        motion: wp.array(dtype=vec_parameters),
         lag: wp.array2d(dtype=dtype),
         frame: wp.array2d(dtype=dtype),
         adj_image: wp.array3d(dtype=dtype),
-        adj_rows: wp.array3d(dtype=vec_taps),
-        chunks_out: wp.array3d(dtype=dtype),
+        adj_rows: wp.array3d(dtype=vec_columns),
+        chunks_out: wp.array2d(dtype=vec_parameters),
         adj_weight_out: wp.array(dtype=dtype),
     ):
         window, chunk = wp.tid()
@@ -111,83 +223,44 @@ def make_splat_events_adjoint(dtype: type, cfg: SplatConfig, parameters: int) ->
         length = (end - begin + chunks_out.shape[1] - 1) // chunks_out.shape[1]
         height = adj_image.shape[1]
         width = adj_image.shape[2]
-        adj_motion = vec_parameters()
+        # values, not look-ups: the addresses would be kept in more registers
+        origin_x = frame[window, 0]
+        origin_y = frame[window, 1]
+        scale = frame[window, 2]
+        inverse_scale = dtype(1.0) / scale
+        lag_on = lag[window, 0]
+        lag_off = lag[window, 1]
+        chunks_out[window, chunk] = vec_parameters()
         for e in range(begin + chunk * length, wp.min(begin + (chunk + 1) * length, end)):
-            scale = frame[window, 2]
-            inverse_scale = dtype(1.0) / scale
-            dx = x[e] - middle(frame[window, 0], scale, width)
-            dy = y[e] - middle(frame[window, 1], scale, height)
-            motion_x, motion_y = velocity(motion, window, dx, dy)
-            cx = transport(x[e], t[e], motion_x, frame[window, 0], inverse_scale)
-            cy = transport(y[e], t[e], motion_y, frame[window, 1], inverse_scale)
+            dx = x[e] - middle(origin_x, scale, width)
+            dy = y[e] - middle(origin_y, scale, height)
+            motion_x, motion_y = velocity(motion[window], dx, dy)
+            cx = transport(x[e], t[e], motion_x, origin_x, inverse_scale)
+            cy = transport(y[e], t[e], motion_y, origin_y, inverse_scale)
             adj_w = dtype(0.0)
             # also false for NaN
             if (
-                cx > dtype(-taps)
-                and cy > dtype(-taps)
-                and cx < dtype(width + taps)
-                and cy < dtype(height + taps)
+                cx > dtype(-margin)
+                and cy > dtype(-margin)
+                and cx < dtype(width + margin)
+                and cy < dtype(height + margin)
             ):
-                column = int(wp.floor(cx + dtype(0.5)))
-                row = int(wp.floor(cy + dtype(0.5)))
-                by_g = vec_taps()
-                by_s = vec_taps()
-                by_c = vec_taps()
-                # Gaussians as in `splat_taps`, one after another: all at once they would take the registers
-                offset = cy - dtype(row)
-                right = wp.exp(dtype(-0.5) * offset * offset * inverse_variance)
-                left = right
-                up = wp.exp(offset * inverse_variance)
-                down = dtype(1.0) / up
-                for k in range(wp.static(reach + 1)):
-                    for side in range(2):
-                        if side == 0 or k > 0:
-                            tap = wp.where(side == 0, k, -k)
-                            gauss = wp.where(side == 0, right, left) * gauss_at_tap[k]
-                            g, s, c = splat_tap(gauss, dtype(tap) - offset)
-                            values = row_around(adj_image, adj_rows, window, row + tap, column - reach)
-                            by_g += g * values
-                            by_s += s * values
-                            by_c += c * values
-                    right *= up
-                    left *= down
+                value, value_x, value_y, value_xx, value_xy, value_yy = smooth(adj_rows, window, cx, cy)
                 w = weight[e]
-                lag_px = lag[window, 0]
-                if w < dtype(0.0):
-                    lag_px = lag[window, 1]
+                lag_px = wp.where(w < dtype(0.0), lag_off, lag_on)
                 speed = wp.sqrt(motion_x * motion_x + motion_y * motion_y)
                 if speed > dtype(0.0):
                     lag_px /= speed
                 lag_x = lag_px * motion_x
                 lag_y = lag_px * motion_y
-                slope_x = dtype(0.0)
-                slope_y = dtype(0.0)
-                offset = cx - dtype(column)
-                right = wp.exp(dtype(-0.5) * offset * offset * inverse_variance)
-                left = right
-                up = wp.exp(offset * inverse_variance)
-                down = dtype(1.0) / up
-                for k in range(wp.static(reach + 1)):
-                    for side in range(2):
-                        if side == 0 or k > 0:
-                            tap = wp.where(side == 0, k, -k)
-                            gauss = wp.where(side == 0, right, left) * gauss_at_tap[k]
-                            g, s, c = splat_tap(gauss, dtype(tap) - offset)
-                            ahead = g - lag_x * s
-                            turned = s - lag_x * c
-                            adj_w += ahead * by_g[reach + tap]
-                            adj_w -= lag_y * g * by_s[reach + tap]
-                            slope_x += turned * by_g[reach + tap]
-                            slope_x -= lag_y * s * by_s[reach + tap]
-                            slope_y += ahead * by_s[reach + tap]
-                            slope_y -= lag_y * g * by_c[reach + tap]
-                    right *= up
-                    left *= down
+                adj_w = value - lag_x * value_x - lag_y * value_y
+                slope_x = value_x - lag_x * value_xx - lag_y * value_xy
+                slope_y = value_y - lag_x * value_xy - lag_y * value_yy
                 factor = t[e] * inverse_scale * w
-                adj_motion += velocity_adjoint(factor * slope_x, factor * slope_y, dx, dy)
+                adj = velocity_adjoint(factor * slope_x, factor * slope_y, dx, dy)
+                # the sums are in memory: no register is left for them, and `+=` would be atomic
+                chunks_out[window, chunk] = chunks_out[window, chunk] + adj
             adj_weight_out[e] = adj_w
-        for k in range(wp.static(parameters)):
-            chunks_out[window, chunk, k] = adj_motion[k]
 
     return splat_events_adjoint
 
@@ -197,8 +270,13 @@ def splat_events_adjoint(
     cfg: SplatConfig,
 ) -> None:  # fmt: skip
     """Launch both passes; overwrites."""
+    if not adj_image.size:  # no pixel to read
+        clear(adj_weight_out)
+        clear(adj_motion_out)
+        return
+    columns = min(2 * reach_of(x.dtype, cfg) + 1, adj_image.shape[2])
     launch(
-        make_splat_events_adjoint(x.dtype, cfg, motion.shape[1]),
+        make_splat_events_adjoint(x.dtype, cfg, motion.shape[1], columns, on_cpu=x.device.is_cpu),
         chunks_out.shape[:2],
         inputs=[
             x,
@@ -206,13 +284,13 @@ def splat_events_adjoint(
             t,
             weight,
             window_ptr,
-            motion,
+            last_axis_as_vector(motion),
             lag,
             frame,
             adj_image,
-            neighbours(adj_image, 2 * cfg.reach + 1),
+            neighbours(adj_image, columns),
         ],
-        outputs=[chunks_out, adj_weight_out],
+        outputs=[last_axis_as_vector(chunks_out), adj_weight_out],
         device=x.device,
     )
     add_partials(chunks_out, adj_motion_out)

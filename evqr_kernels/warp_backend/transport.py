@@ -42,18 +42,19 @@ def make_middle(dtype: type) -> wp.Function:
 @cache
 def make_velocity(dtype: type, parameters: int) -> wp.Function:
     """Build the function that gives the velocity at (dx, dy) from the middle, for 2 or 6 parameters."""
+    vec = vector(parameters, dtype)
     if parameters == 2:
 
         @wp.func
-        def velocity(motion: wp.array2d(dtype=dtype), window: int, dx: dtype, dy: dtype):
-            return motion[window, 0], motion[window, 1]
+        def velocity(motion: vec, dx: dtype, dy: dtype):
+            return motion[0], motion[1]
 
         return velocity
 
     @wp.func
-    def velocity_field(motion: wp.array2d(dtype=dtype), window: int, dx: dtype, dy: dtype):
-        along_x = motion[window, 0] + motion[window, 2] * dx + motion[window, 3] * dy
-        along_y = motion[window, 1] + motion[window, 4] * dx + motion[window, 5] * dy
+    def velocity_field(motion: vec, dx: dtype, dy: dtype):
+        along_x = motion[0] + motion[2] * dx + motion[3] * dy
+        along_y = motion[1] + motion[4] * dx + motion[5] * dy
         return along_x, along_y
 
     return velocity_field

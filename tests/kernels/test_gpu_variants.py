@@ -16,7 +16,7 @@ pytest.importorskip("warp")
 
 from evqr_kernels import warp_backend
 from evqr_kernels.warp_backend import align as warp_align
-from evqr_kernels.warp_backend import render, render_adjoint
+from evqr_kernels.warp_backend import render, render_adjoint, splat_adjoint
 
 MODULES = [
     importlib.import_module(f"{warp_backend.__name__}.{found.name}")
@@ -42,6 +42,7 @@ def warp_as_on_gpus(monkeypatch):
 
     for module, make, variant in (
         (render, "make_render_code", {"on_cpu": False}),
+        (splat_adjoint, "make_splat_events_adjoint", {"on_cpu": False}),
         (warp_align, "make_align_poses", {"unrolled": False}),
     ):
         monkeypatch.setattr(module, make, as_on_gpus(getattr(module, make), **variant))

@@ -220,6 +220,32 @@ def test_images_smaller_than_a_splat(shape, placed, spec, dtype, rng):
     assert_close(*call.run(placed), *call.run(spec))
 
 
+@pytest.mark.parametrize("shape", [(1, 1), (1, 9), (9, 1), (2, 3), (3, 4), (5, 5)])
+def test_adjoint_in_images_smaller_than_a_splat(shape, placed, spec, dtype, rng):
+    call = cases.splat_events_adjoint(rng, dtype)
+    call.inputs[:2] = rng.uniform(
+        -3, np.maximum(shape[::-1], 1)[:, None] + 2, (2, len(call.inputs[0]))
+    ).astype(dtype)
+    call.inputs[-1] = filled((cases.B, *shape), dtype, 0.5)
+    for found, expected in zip(call.run(placed), call.run(spec), strict=True):
+        assert_close(found, expected)
+
+
+@pytest.mark.parametrize("shape", [(0, 4), (4, 0)])
+def test_adjoint_in_images_without_a_pixel(shape, placed, dtype, rng):
+    call = cases.splat_events_adjoint(rng, dtype)
+    call.inputs[-1] = np.zeros((cases.B, *shape), dtype)
+    for found in call.run(placed):
+        assert not np.any(found)
+
+
+def test_adjoint_of_a_splat_far_wider_than_its_gaussian(placed, spec, dtype, rng):
+    call = cases.splat_events_adjoint(rng, dtype)
+    call.tail = (SplatConfig(epsilon_px=0.4, radius_px=6.0),)
+    for found, expected in zip(call.run(placed), call.run(spec), strict=True):
+        assert_close(found, expected)
+
+
 def test_binning_counts():
     x = np.array([0.0, 1.0, 1.49, 1.5, 5.0, -0.51], np.float32)
     y = np.zeros(6, np.float32)
