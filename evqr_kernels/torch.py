@@ -65,8 +65,8 @@ def splat_events(
     Returns
     -------
     image : (B, Y, X) float [weight]
-        A new one.  Differentiable in ``weight`` and ``motion``; that lags are
-        along the motion is not differentiated.
+        A new one.  Differentiable in ``weight`` and ``motion``; the direction
+        of lags counts as fixed.
 
     Notes
     -----
@@ -161,7 +161,7 @@ def brightness_residual(luminance: Tensor, events_image: Tensor, motion: Tensor)
     Returns
     -------
     residual : (B, Y, X) float [of luminance]
-        A new one.  Differentiable in all three.
+        A new one.  Differentiable in ``luminance``, ``events_image`` and ``motion``.
 
     Notes
     -----

@@ -352,7 +352,7 @@ def solve_code(
 
     Notes
     -----
-    Cost: K^2 + 5 multiply-adds a module and iteration.  On a CPU one thread a window, which stops when it has
+    Cost: K^2 + 6 multiply-adds a module and iteration.  On a CPU one thread a window, which stops when it has
     converged; on a GPU one thread a row of modules, 2 K^2, and two launches an iteration up to
     ``max_iterations``, in which windows that have converged do nothing.  Scratch of four times (B, M, M) and
     twice (B, 4, M).

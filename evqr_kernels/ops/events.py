@@ -122,8 +122,8 @@ def splat_events(
 
     Notes
     -----
-    Cost: T^2 additions to the image an event and twice as many multiply-adds, with T = 2 ceil(radius - 1/2) +
-    1, 5 by default; four exponentials an event, whatever T is; one pass, no scratch.
+    Cost: T^2 additions to the image an event and twice as many multiply-adds, with
+    T = 2 ceil(radius - 1/2) + 1, 5 by default; four exponentials an event, whatever T is; one pass, no scratch.
 
     Determinism: atomics; to rounding on GPUs, bit for bit on CPUs.
     """
@@ -323,8 +323,8 @@ def lag_operator(
 
     Notes
     -----
-    Cost: 6 K multiply-adds a pixel of each image, in two passes, along rows and columns; scratch of (N, 2, Y,
-    X).
+    Cost: 6 K multiply-adds a pixel of each image, in two passes, along rows and columns; scratch of
+    (N, 2, Y, X).
 
     Determinism: bit for bit.
     """
@@ -376,8 +376,8 @@ def lag_operator_adjoint(
 
     Notes
     -----
-    Cost: 5 K multiply-adds a pixel of each image, in two passes, along columns and rows; scratch of (N, 2, Y,
-    X). The second pass looks all of ``deposit_idx`` over for each cell, or sixteen cells on a CPU.
+    Cost: 5 K multiply-adds a pixel of each image, in two passes, along columns and rows; the second looks
+    all of ``deposit_idx`` over for each cell, or block of cells.  Scratch of (N, 2, Y, X).
 
     Determinism: bit for bit; images of one deposit are added up in order.
     """

@@ -298,7 +298,7 @@ def correlate_templates(
     -----
     Cost: one multiply-add a pixel for running sums and 2 N additions a place for its energy; where that is
     not quiet, 5 multiply-adds a place and pixel that counts, of which there are up to N^2, and 5 A more; four
-    passes. Quiet places are left out by blocks of 16 on a CPU, of 4 on a GPU.  Scratch: a copy of the image,
+    passes.  Quiet places are left out by blocks of 16 on a CPU, of 4 on a GPU.  Scratch: a copy of the image,
     (B, Y + 1, X), (B,), and six of the response's size.
 
     Determinism: bit for bit.
