@@ -123,7 +123,8 @@ def splat_events(
     Notes
     -----
     Cost: T^2 additions to the image an event and twice as many multiply-adds, with
-    T = 2 ceil(radius - 1/2) + 1, 5 by default; four exponentials an event, whatever T is; one pass, no scratch.
+    T = 2 ceil(radius - 1/2) + 1, 5 by default; four exponentials an event, whatever T is; one pass,
+    no scratch.
 
     Determinism: atomics; to rounding on GPUs, bit for bit on CPUs.
     """
