@@ -3,12 +3,19 @@
     loss = lambda motion: -evqr_kernels.jax.splat_events(x, y, t, weight, ptr, motion, shape=(Y, X)).var()
     jax.grad(loss)(motion)              # the adjoint by hand
 
-Arrays are not copied: XLA hands their memory to the kernels, on the CPU or a GPU, in its own stream.  Shapes
-and units are those of the functions of the same names in `evqr_kernels`; float32, or float64 where JAX is
-told so, indices int32.  They raise TypeError and ValueError as those do, but look at no values: windows and
-indices must be right.  Inputs that an operation has no adjoint in get a gradient of zero.
+Shapes, dtypes, units, cost and determinism are those of the functions of the same names in `evqr_kernels`,
+float64 where JAX is told so; here is what differs for all of them.
 
-Adjoints are not differentiable once more; `jax.vmap` calls one after the other.
+Arrays are not copied: XLA hands their memory to Warp's kernels, on the CPU or an NVIDIA GPU, in its own
+stream.  Results and scratch are XLA's, new ones; nothing is accumulated into an argument.  ``shape``, ``cfg``
+and ``sigma`` are constants when a function is traced.
+
+Saved for the backward pass are the inputs alone.  It makes adjoints in all inputs that an operation is
+differentiable in; other inputs get a gradient of zero.  Adjoints are not differentiable once more; `jax.vmap`
+calls one after the other.
+
+They raise TypeError and ValueError as those functions do.  But they look at no values of arrays: windows,
+indices and frames must be right.
 """
 
 from __future__ import annotations
@@ -45,7 +52,25 @@ def splat_events(
     shape: tuple[int, int], lag: jax.Array | None = None, frame: jax.Array | None = None,
     cfg: SplatConfig | None = None,
 ) -> jax.Array:  # fmt: skip
-    """Scatter transported events as splats (B, Y, X); differentiable in weight and motion."""
+    """Scatter transported events as splats: `evqr_kernels.splat_events`.
+
+    Parameters
+    ----------
+    x, y, t, weight, window_ptr, motion, lag, frame, cfg
+        As there.
+    shape : (int, int)
+        (Y, X) of the image.
+
+    Returns
+    -------
+    image : (B, Y, X) float [weight]
+        A new one.  Differentiable in ``weight`` and ``motion``; the direction
+        of lags counts as fixed.
+
+    Notes
+    -----
+    The backward pass is `evqr_kernels.splat_events_adjoint`.
+    """
     lag = jnp.zeros((len(motion), 2), motion.dtype) if lag is None else lag
     rule = differentiable.splat_events(shape, cfg or SplatConfig())
     return _apply(rule, x, y, t, weight, window_ptr, motion, lag, _frame(frame, motion))
@@ -55,7 +80,24 @@ def deposit_events(
     x: jax.Array, y: jax.Array, t: jax.Array, weight: jax.Array, window_ptr: jax.Array, motion: jax.Array, *,
     shape: tuple[int, int], frame: jax.Array | None = None,
 ) -> jax.Array:  # fmt: skip
-    """Share transported events among four cells each (B, 2, Y, X); differentiable in the weight."""
+    """Share transported events among four cells each: `evqr_kernels.deposit_events`.
+
+    Parameters
+    ----------
+    x, y, t, weight, window_ptr, motion, frame
+        As there.
+    shape : (int, int)
+        (Y, X) of the images.
+
+    Returns
+    -------
+    deposit : (B, 2, Y, X) float [weight]
+        A new one.  Differentiable in ``weight``.
+
+    Notes
+    -----
+    The backward pass is `evqr_kernels.deposit_events_adjoint`.
+    """
     rule = differentiable.deposit_events(shape)
     return _apply(rule, x, y, t, weight, window_ptr, motion, _frame(frame, motion))
 
@@ -63,19 +105,67 @@ def deposit_events(
 def lag_operator(
     deposit: jax.Array, deposit_idx: jax.Array, direction: jax.Array, lag: jax.Array, taps: jax.Array
 ) -> jax.Array:
-    """Blur deposits and undo pixels that lag (N, Y, X); differentiable in the deposit."""
+    """Blur deposits and undo pixels that lag: `evqr_kernels.lag_operator`.
+
+    Parameters
+    ----------
+    deposit, deposit_idx, direction, lag, taps
+        As there.
+
+    Returns
+    -------
+    image : (N, Y, X) float [weight]
+        A new one.  Differentiable in ``deposit``.
+
+    Notes
+    -----
+    The backward pass is `evqr_kernels.lag_operator_adjoint`.
+    """
     return _apply(differentiable.lag_operator(), deposit, deposit_idx, direction, lag, taps)
 
 
 def render_code(
     grid: jax.Array, to_grid: jax.Array, outside: jax.Array, *, shape: tuple[int, int], sigma: float = 0.0
 ) -> jax.Array:
-    """Image of a grid of modules (B, Y, X); differentiable in grid and map."""
+    """Image of a grid of modules: `evqr_kernels.render_code`.
+
+    Parameters
+    ----------
+    grid, to_grid, outside, sigma
+        As there.
+    shape : (int, int)
+        (Y, X) of the image.
+
+    Returns
+    -------
+    image : (B, Y, X) float [of grid]
+        A new one.  Differentiable in ``grid`` and ``to_grid``.
+
+    Notes
+    -----
+    The backward pass is `evqr_kernels.render_code_adjoint`.
+    """
     return _apply(differentiable.render_code(shape, sigma), grid, to_grid, outside)
 
 
 def brightness_residual(luminance: jax.Array, events_image: jax.Array, motion: jax.Array) -> jax.Array:
-    """Slope of the luminance along the motion, plus the events (B, Y, X); differentiable in all three."""
+    """Slope of the luminance along the motion, plus the events: `evqr_kernels.brightness_residual`.
+
+    Parameters
+    ----------
+    luminance, events_image, motion
+        As there.
+
+    Returns
+    -------
+    residual : (B, Y, X) float [of luminance]
+        A new one.  Differentiable in ``luminance``, ``events_image`` and ``motion``.
+
+    Notes
+    -----
+    The backward pass is `evqr_kernels.brightness_residual_adjoint` in luminance and motion; events images get
+    the residual's adjoint as it is.
+    """
     return _apply(differentiable.brightness_residual(), luminance, events_image, motion)
 
 
@@ -83,7 +173,22 @@ def sample_moments(
     image: jax.Array, image_idx: jax.Array, pose: jax.Array, points: jax.Array, table: jax.Array, *,
     active: jax.Array | None = None,
 ) -> jax.Array:  # fmt: skip
-    """Moments of images seen through poses (N, C + 1); differentiable in the image."""
+    """Moments of images seen through poses: `evqr_kernels.sample_moments`.
+
+    Parameters
+    ----------
+    image, image_idx, pose, points, table, active
+        As there.
+
+    Returns
+    -------
+    moments : (N, C + 1) float [weight x table, weight^2]
+        New ones.  Differentiable in ``image``.
+
+    Notes
+    -----
+    The backward pass is `evqr_kernels.sample_moments_adjoint`.
+    """
     active = jnp.ones_like(image_idx) if active is None else active
     return _apply(differentiable.sample_moments(), image, image_idx, pose, active, points, table)
 

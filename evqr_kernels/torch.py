@@ -3,12 +3,20 @@
     image = evqr_kernels.torch.splat_events(x, y, t, weight, window_ptr, motion, shape=(Y, X))
     (-image.var()).backward()           # motion.grad: the adjoint by hand
 
-Tensors are not copied: kernels read and write their memory, on the CPU or a GPU, in PyTorch's current stream.
-One that is not contiguous is refused rather than copied.  Shapes and units are those of the functions of the
-same names in `evqr_kernels`; float32 or float64, indices int32.  They raise TypeError and ValueError as those
-do, but look at no values (that would wait for the device): windows and indices must be right.
+Shapes, dtypes, units, cost and determinism are those of the functions of the same names in `evqr_kernels`;
+here is what differs for all of them.
 
+Tensors are not copied: Warp's kernels read and write their memory, on the CPU or an NVIDIA GPU, in PyTorch's
+current stream, and nothing waits for them.  All tensors of a call are on one device.  Results are new tensors
+there, never accumulated into; scratch is made there too.
+
+Saved for the backward pass are the inputs alone, as PyTorch saves them: not copied, and not to be changed in
+place until then.  It makes adjoints in all inputs that an operation is differentiable in, wanted or not.
 Adjoints are not differentiable once more.
+
+They raise TypeError and ValueError as those functions do, also for a tensor that is not contiguous, is on
+another device than the first, or requires a gradient that the operation does not have.  But they look at no
+values of tensors (that would wait for the device): windows, indices and frames must be right.
 """
 
 from __future__ import annotations
@@ -45,7 +53,25 @@ def splat_events(
     shape: tuple[int, int], lag: Tensor | None = None, frame: Tensor | None = None,
     cfg: SplatConfig | None = None,
 ) -> Tensor:  # fmt: skip
-    """Scatter transported events as splats (B, Y, X); differentiable in weight and motion."""
+    """Scatter transported events as splats: `evqr_kernels.splat_events`.
+
+    Parameters
+    ----------
+    x, y, t, weight, window_ptr, motion, lag, frame, cfg
+        As there.
+    shape : (int, int)
+        (Y, X) of the image.
+
+    Returns
+    -------
+    image : (B, Y, X) float [weight]
+        A new one.  Differentiable in ``weight`` and ``motion``; the direction
+        of lags counts as fixed.
+
+    Notes
+    -----
+    The backward pass is `evqr_kernels.splat_events_adjoint`.
+    """
     batch = len(motion)
     lag = motion.new_zeros((batch, 2)) if lag is None else lag
     rule = differentiable.splat_events(shape, cfg or SplatConfig())
@@ -56,7 +82,24 @@ def deposit_events(
     x: Tensor, y: Tensor, t: Tensor, weight: Tensor, window_ptr: Tensor, motion: Tensor, *,
     shape: tuple[int, int], frame: Tensor | None = None,
 ) -> Tensor:  # fmt: skip
-    """Share transported events among four cells each (B, 2, Y, X); differentiable in the weight."""
+    """Share transported events among four cells each: `evqr_kernels.deposit_events`.
+
+    Parameters
+    ----------
+    x, y, t, weight, window_ptr, motion, frame
+        As there.
+    shape : (int, int)
+        (Y, X) of the images.
+
+    Returns
+    -------
+    deposit : (B, 2, Y, X) float [weight]
+        A new one.  Differentiable in ``weight``.
+
+    Notes
+    -----
+    The backward pass is `evqr_kernels.deposit_events_adjoint`.
+    """
     rule = differentiable.deposit_events(shape)
     return _apply(rule, x, y, t, weight, window_ptr, motion, _frame(frame, motion))
 
@@ -64,19 +107,67 @@ def deposit_events(
 def lag_operator(
     deposit: Tensor, deposit_idx: Tensor, direction: Tensor, lag: Tensor, taps: Tensor
 ) -> Tensor:
-    """Blur deposits and undo pixels that lag (N, Y, X); differentiable in the deposit."""
+    """Blur deposits and undo pixels that lag: `evqr_kernels.lag_operator`.
+
+    Parameters
+    ----------
+    deposit, deposit_idx, direction, lag, taps
+        As there.
+
+    Returns
+    -------
+    image : (N, Y, X) float [weight]
+        A new one.  Differentiable in ``deposit``.
+
+    Notes
+    -----
+    The backward pass is `evqr_kernels.lag_operator_adjoint`.
+    """
     return _apply(differentiable.lag_operator(), deposit, deposit_idx, direction, lag, taps)
 
 
 def render_code(
     grid: Tensor, to_grid: Tensor, outside: Tensor, *, shape: tuple[int, int], sigma: float = 0.0
 ) -> Tensor:
-    """Image of a grid of modules (B, Y, X); differentiable in grid and map."""
+    """Image of a grid of modules: `evqr_kernels.render_code`.
+
+    Parameters
+    ----------
+    grid, to_grid, outside, sigma
+        As there.
+    shape : (int, int)
+        (Y, X) of the image.
+
+    Returns
+    -------
+    image : (B, Y, X) float [of grid]
+        A new one.  Differentiable in ``grid`` and ``to_grid``.
+
+    Notes
+    -----
+    The backward pass is `evqr_kernels.render_code_adjoint`.
+    """
     return _apply(differentiable.render_code(shape, sigma), grid, to_grid, outside)
 
 
 def brightness_residual(luminance: Tensor, events_image: Tensor, motion: Tensor) -> Tensor:
-    """Slope of the luminance along the motion, plus the events (B, Y, X); differentiable in all three."""
+    """Slope of the luminance along the motion, plus the events: `evqr_kernels.brightness_residual`.
+
+    Parameters
+    ----------
+    luminance, events_image, motion
+        As there.
+
+    Returns
+    -------
+    residual : (B, Y, X) float [of luminance]
+        A new one.  Differentiable in ``luminance``, ``events_image`` and ``motion``.
+
+    Notes
+    -----
+    The backward pass is `evqr_kernels.brightness_residual_adjoint` in luminance and motion; events images get
+    the residual's adjoint as it is.
+    """
     return _apply(differentiable.brightness_residual(), luminance, events_image, motion)
 
 
@@ -84,7 +175,22 @@ def sample_moments(
     image: Tensor, image_idx: Tensor, pose: Tensor, points: Tensor, table: Tensor, *,
     active: Tensor | None = None,
 ) -> Tensor:  # fmt: skip
-    """Moments of images seen through poses (N, C + 1); differentiable in the image."""
+    """Moments of images seen through poses: `evqr_kernels.sample_moments`.
+
+    Parameters
+    ----------
+    image, image_idx, pose, points, table, active
+        As there.
+
+    Returns
+    -------
+    moments : (N, C + 1) float [weight x table, weight^2]
+        New ones.  Differentiable in ``image``.
+
+    Notes
+    -----
+    The backward pass is `evqr_kernels.sample_moments_adjoint`.
+    """
     active = torch.ones_like(image_idx) if active is None else active
     return _apply(differentiable.sample_moments(), image, image_idx, pose, active, points, table)
 

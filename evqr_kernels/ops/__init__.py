@@ -2,19 +2,44 @@
 
 They take NumPy's arrays, and those in the host's memory of any library that speaks DLPack or
 ``__array_interface__``, which are read in place; they return NumPy's.  Only an array of NumPy that is not
-C-contiguous is copied.  `evqr_kernels.torch` and `evqr_kernels.jax` work on a GPU's memory as well.
+C-contiguous is copied.  `evqr_kernels.torch` and `evqr_kernels.jax` work on a GPU's memory as well.  Who owns
+device buffers calls the methods of the backend, which have the same names and take the same arrays.
 
-All arrays of a call are float32, or all float64; index arrays are int32.  Each function takes ``backend`` (a
-name for `evqr_kernels.backend.get_backend`) and ``device`` ("cpu", "cuda:0", ...; by default the backend's
-first), and raises
+What holds for every operation is said here once; their own documentation says what each adds.
+
+**Arrays.**  ``(B, Y, X) float [px]`` is an array of that shape, of that dtype, in that unit.  ``float`` is
+float32 or float64, the same for all arrays of a call.  Shape letters: B windows, E events, Y and X rows and
+columns of images; a letter is one size throughout a call.  Units: [px] of the sensor, [image px] of the image
+at hand, [weight] that of the events' weights and so of the images made of them, [loss] that of what is
+differentiated, [1] none, [any] what the caller likes, [of name] that of another argument.
+
+**Parameters.**  ``backend`` is a name for `evqr_kernels.backend.get_backend`; ``device`` is "cpu", "cuda:0",
+..., by default the backend's first.
+
+**Raises.**
 
 TypeError            what is no array or cannot be read in place, or is of the wrong dtype
-ValueError           a wrong shape, range, name or device
+ValueError           a wrong shape or name, a setting or index out of range (NaN is out of every range that
+                     begins somewhere), a device that the backend does not have, more than 2^30 events, or
+                     more than 2^31 - 1 elements of an array, scratch included
 BackendUnavailable   a backend that cannot be loaded here
-NotImplementedError  an operation that the backend refuses, with its reason
+NotImplementedError  an operation, dtype or device that the backend refuses, with its reason
 
-Who owns device buffers calls the methods of the backend, which have the same names and take the same arrays.
-Shape letters: B windows, E events, Y and X image rows and columns.
+**Cost** counts what Warp's and Taichi's kernels do, and the scratch that a call allocates beside its results,
+of the call's float type unless said otherwise.  NumPy's code is the specification, written to be read, and
+takes more of both.  On a GPU a call copies its inputs there and its results back.  The first call with a
+device, dtype, `SplatConfig`, count of parameters, taps or columns of a table compiles kernels for it, which
+takes seconds; they are kept on disk.
+
+**Determinism** is of one call repeated on one device, with one backend.
+
+bit for bit  Each number is the work of one thread, in one order; where threads share a sum, each has a part,
+             and one adds the parts up, in order.  A window, or pose, has the same result alone, in a batch
+             and in any place of it.
+atomics      Threads add to one image.  On a GPU their order differs from run to run, and results by rounding.
+             On a CPU one thread adds a window's events in order: bit for bit, and as in any batch.
+
+Backends and devices agree with each other to rounding.
 """
 
 from evqr_kernels.ops.codes import (

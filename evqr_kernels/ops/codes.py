@@ -18,16 +18,41 @@ def sample_moments(
 
     Parameters
     ----------
-    image : (B, Y, X)
-    image_idx : (N,) int32   the image that each pose looks at
-    pose : (N, 9)            homographies, row-major: code coordinates to image pixels
-    points : (S, 2)          code coordinates (u, v)
-    table : (S, C)           model functions at the points
-    active : (N,) int32      poses with 0 are left out, their moments 0; by default none
+    image : (B, Y, X) float [weight]
+        What is looked at, between pixels bilinearly: ``e_s``, 0 outside the image.
+    image_idx : (N,) int32
+        The image that each pose looks at.
+    pose : (N, 9) float [modules to image px]
+        Homographies, row-major: code coordinates to image pixels.
+    points : (S, 2) float [modules]
+        Code coordinates (u, v).
+    table : (S, C) float [any]
+        Model functions at the points.
+    active : (N,) int32
+        Poses with 0 are left out, their moments 0; by default none.
+    backend, device : str
+        See `evqr_kernels.ops`.
 
     Returns
     -------
-    (N, C + 1)
+    moments : (N, C + 1) float [weight x table, weight^2]
+        C sums with the functions of the table, and the sum of squares.
+
+    Raises
+    ------
+    ValueError
+        If an entry of ``image_idx`` is not 0 to B - 1.
+
+    See Also
+    --------
+    sample_moments_adjoint, align_poses, pose_normal_equations
+
+    Notes
+    -----
+    Cost: a projection, a look at four pixels and C + 1 multiply-adds a pose and point; scratch of
+    (N, ceil(S / 512), C + 1), which a second pass adds up.
+
+    Determinism: bit for bit.
     """
     checks = ArrayChecks()
     active = _check_moments(checks, image, image_idx, pose, points, table, active)
@@ -48,13 +73,32 @@ def sample_moments_adjoint(
 
     Parameters
     ----------
-    adj_moments : (N, C + 1)   derivative of the loss with respect to the moments
-    out : (B, Y, X)            ACCUMULATED; made and zeroed when None
-    others                     as in `sample_moments`
+    image, image_idx, pose, points, table, active
+        As in `sample_moments`.
+    adj_moments : (N, C + 1) float [loss / moments]
+        Derivative of the loss with respect to the moments.
+    out : (B, Y, X) float [loss / weight]
+        ACCUMULATED; made and zeroed when None.
+    backend, device : str
+        See `evqr_kernels.ops`.
 
     Returns
     -------
-    (B, Y, X)   derivative of the loss with respect to the image
+    adj_image : (B, Y, X) float [loss / weight]
+        ``out``, or a new array: derivative of the loss with respect to the image.
+
+    Raises
+    ------
+    ValueError
+        If an entry of ``image_idx`` is not 0 to B - 1.
+
+    Notes
+    -----
+    Cost: a projection, a look at four pixels, C + 1 multiply-adds and four additions to the image a pose and
+    point, in one pass; no scratch.
+
+    Determinism: atomics, by poses that may look at the same image; to rounding on GPUs, and on CPUs with
+    Taichi on more than one thread; bit for bit on CPUs else.
     """
     checks = ArrayChecks()
     active = _check_moments(checks, image, image_idx, pose, points, table, active)
@@ -77,24 +121,54 @@ def align_poses(
 
     Parameters
     ----------
-    image, image_idx, pose, points   as in `sample_moments`; ``pose`` is where to begin
-    table : (S, C)                   model functions at the points, the last two its slopes along u and v
+    image, image_idx, points
+        As in `sample_moments`.
+    pose : (N, 9) float [modules to image px]
+        Homographies, row-major, where to begin; left as they are.
+    table : (S, C) float [any]
+        Model functions at the points, the last two its slopes along u and v.
     terms, factors : (P + 2, 4) int32
-        columns of the table that make up each parameter's derivative, and what each is multiplied with: 0
-        nothing, 1 and 2 the gain along u and v, 3 one; six parameters for an affine map or eight for a
-        homography, then the two of the gain
-    centre, scale                    of the coordinates in the table: (u - centre) / scale
-    ridge, damping                   regularise the gain, relative to the trace, and the step, to the diagonal
-    tolerance                        stop when the components of a step add up to less
-    max_iterations                   at most so many; 0 scores the poses as they are
+        Columns of the table that make up each parameter's derivative, and what each is multiplied with: 0
+        nothing, 1 and 2 the gain along u and v, 3 one.  P is 6 for an affine map, 8 for a homography; the
+        last two rows are those of the gain.
+    centre, scale : float [modules]
+        Of the coordinates in the table: (u - centre) / scale.
+    ridge : float [1]
+        Regularises the gain, relative to the trace of its Gram matrix.
+    damping : float [1]
+        Regularises the step, relative to the diagonal of its matrix.
+    tolerance : float [1]
+        Stop when the components of a step, of coordinates in the table, add up to less.
+    max_iterations : int
+        At most so many; 0 scores the poses as they are.
+    backend, device : str
+        See `evqr_kernels.ops`.
 
     Returns
     -------
-    (N, 9), (N, 5)   poses; gain along u and v, score, noise and iterations
+    refined : (N, 9) float [modules to image px]
+        Poses, their last entry 1 once they took a step.
+    result : (N, 5) float [weight / table, weight / table, 1, weight^2, 1]
+        Gain along u and v, score (correlation of model and image, at most 1), noise (mean square of what the
+        model leaves), and iterations.
+
+    Raises
+    ------
+    ValueError
+        If an entry of ``image_idx`` is not 0 to B - 1, ``terms`` and ``factors`` do not have 8 or 10 rows, an
+        entry of ``terms`` is not 0 to C - 1, or ``max_iterations`` is less than 0.
 
     See Also
     --------
-    sample_moments
+    sample_moments, pose_normal_equations
+
+    Notes
+    -----
+    Cost: an iteration takes a pass over all points, as `sample_moments` does, and a few thousand
+    multiply-adds; one pass more scores the last pose.  One thread a pose, which stops when its pose does; no
+    scratch.  The Gram matrix, S C^2 multiply-adds, is made by NumPy.
+
+    Determinism: bit for bit.
     """
     checks = ArrayChecks()
     _check_moments(checks, image, image_idx, pose, points, table, None)
@@ -124,15 +198,41 @@ def code_rhs(
 
     Parameters
     ----------
-    image : (B, Y, X)
-    pose : (B, 9)              homographies, row-major: code coordinates to image pixels
-    lattice : (S,) [modules]   sample positions along an axis, M modules times ``samples_a_module``
-    profile, slope : (P,)      a module's profile and its derivative, centred on the module
-    gain : (B, 2)              motion in modules times contrast
+    image : (B, Y, X) float [weight]
+        Images of events, one a pose.
+    pose : (B, 9) float [modules to image px]
+        Homographies, row-major: code coordinates to image pixels.
+    lattice : (S,) float [modules]
+        Sample positions along an axis, M modules times ``samples_a_module``.
+    profile, slope : (P,) float [1, 1 / modules]
+        A module's profile and its derivative, sampled, centred on the module.
+    gain : (B, 2) float [weight modules]
+        Motion in modules times contrast, along u and v.
+    samples_a_module : int
+        Samples of the lattice, and of the profile, in a module.
+    backend, device : str
+        See `evqr_kernels.ops`.
 
     Returns
     -------
-    (B, M, M)
+    rhs : (B, M, M) float [weight^2]
+        Right-hand side; M is S / ``samples_a_module``, rounded down.
+
+    Raises
+    ------
+    ValueError
+        If ``samples_a_module`` is less than 1.
+
+    See Also
+    --------
+    code_normal_equations, solve_code
+
+    Notes
+    -----
+    Cost: S^2 projections and looks at four pixels, and 2 M P (S + M) multiply-adds a window, in two passes;
+    scratch of (B, S, S) and (B, 2, S, M).
+
+    Determinism: bit for bit.
     """
     checks = ArrayChecks()
     checks.floats("image", image, "B", "Y", "X")
@@ -160,23 +260,38 @@ def pull_modules(
 
     Parameters
     ----------
-    seen : (B, M, M)   A^T E
-    q : (B, M, M)      distance from light that an earlier solution found: -2 dark, 0 light
-    damping : (B,)     of the next solution
-    certainty          factor by which the pull goes beyond what was found, up to dark or light; >= 0
+    seen : (B, M, M) float [weight^2]
+        ``A^T E``: see `code_rhs`.
+    q : (B, M, M) float [1]
+        Distance from light that an earlier solution found: -2 dark, 0 light.
+    damping : (B,) float [weight^2]
+        Of the next solution.
+    certainty : float [1]
+        Factor by which the pull goes beyond what was found, up to dark or light.
+    backend, device : str
+        See `evqr_kernels.ops`.
 
     Returns
     -------
-    (B, M, M), (B, M) int32   ``seen + damping (1 - clip(certainty (q + 1), -1, 1))``, and how many modules of
-                              each row did not get to dark or light
+    rhs : (B, M, M) float [weight^2]
+        ``seen + damping (1 - clip(certainty (q + 1), -1, 1))``.
+    unclear : (B, M) int32
+        How many modules of each row did not get to dark or light.
 
-    Notes
-    -----
-    One thread a row: results repeat bit for bit.
+    Raises
+    ------
+    ValueError
+        If ``certainty`` is less than 0, or infinite.
 
     See Also
     --------
     solve_code
+
+    Notes
+    -----
+    Cost: some five operations a module, by one thread a row of modules; no scratch.
+
+    Determinism: bit for bit.
     """
     checks = ArrayChecks()
     checks.floats("seen", seen, "B", "M", "M")
@@ -202,17 +317,47 @@ def solve_code(
 
     Parameters
     ----------
-    rhs : (B, M, M)
-    stencil : (B, K, K)      K odd; positive definite together with the damping
-    damping : (B,)
-    free : (M, M) int32      modules that are solved for; the others keep their start
-    start : (B, M, M)        q to begin with
-    max_iterations           at most so many
-    tolerance                stop when the residual is this share of what it was
+    rhs : (B, M, M) float [weight^2]
+        Right-hand side: see `code_rhs`.
+    stencil : (B, K, K) float [weight^2]
+        K odd; positive definite together with the damping.
+    damping : (B,) float [weight^2]
+        Added to the diagonal.
+    free : (M, M) int32
+        Modules that are solved for; those with 0 keep their start.
+    start : (B, M, M) float [1]
+        q to begin with; left as it is.
+    max_iterations : int
+        At most so many.
+    tolerance : float [1]
+        Stop when the residual is this share of what it was.
+    backend, device : str
+        See `evqr_kernels.ops`.
 
     Returns
     -------
-    (B, M, M), (B,) int32   q and the iterations that it took
+    q : (B, M, M) float [1]
+        The solution.
+    iterations : (B,) int32
+        How many it took.
+
+    Raises
+    ------
+    ValueError
+        If K is even, or ``max_iterations`` is less than 0.
+
+    See Also
+    --------
+    solve_code_banded, code_product
+
+    Notes
+    -----
+    Cost: K^2 + 6 multiply-adds a module and iteration.  On a CPU one thread a window, which stops when it has
+    converged; on a GPU one thread a row of modules, 2 K^2, and two launches an iteration up to
+    ``max_iterations``, in which windows that have converged do nothing.  Scratch of four times (B, M, M) and
+    twice (B, 4, M).
+
+    Determinism: bit for bit.
     """
     checks = ArrayChecks()
     checks.floats("rhs", rhs, "B", "M", "M")

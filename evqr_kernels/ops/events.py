@@ -20,16 +20,42 @@ def bin_events(
 
     Parameters
     ----------
-    x, y : (E,) [px]              column and row; integers are pixel centres
-    weight : (E,)                 what an event counts; a polarity, say
-    window_ptr : (B + 1,) int32   first event of each window; window_ptr[-1] == E
-    reduction                     side of an image pixel [px]
-    shape                         (Y, X) of the image; not needed with ``out``
-    out : (B, Y, X)               ACCUMULATED; made and zeroed when None
+    x, y : (E,) float [px]
+        Column and row; integers are pixel centres.
+    weight : (E,) float [weight]
+        What an event counts; a polarity, say.
+    window_ptr : (B + 1,) int32
+        First event of each window, and E.
+    reduction : float [px]
+        Side of an image pixel.
+    shape : (int, int)
+        (Y, X) of the image; not needed with ``out``.
+    out : (B, Y, X) float [weight]
+        ACCUMULATED; made and zeroed when None.
+    backend, device : str
+        See `evqr_kernels.ops`.
 
     Returns
     -------
-    (B, Y, X)   the image; events outside it are dropped
+    image : (B, Y, X) float [weight]
+        ``out``, or the new image; events outside it are dropped.
+
+    Raises
+    ------
+    ValueError
+        If ``window_ptr`` does not go from 0 to E without decreasing, or ``reduction`` is less than 1e-6.
+    TypeError
+        If there is neither ``shape`` nor ``out``.
+
+    See Also
+    --------
+    splat_events
+
+    Notes
+    -----
+    Cost: one addition to the image an event, in one pass; no scratch.
+
+    Determinism: atomics; to rounding on GPUs, bit for bit on CPUs.
     """
     checks = ArrayChecks()
     _check_events(checks, x=x, y=y, weight=weight, window_ptr=window_ptr)
@@ -51,28 +77,56 @@ def splat_events(
 
     Parameters
     ----------
-    x, y : (E,) [px]              column and row; integers are pixel centres
-    t : (E,) [s]                  relative to the window's reference time
-    weight : (E,)                 mass of the splat; its sign tells ON from OFF
-    window_ptr : (B + 1,) int32   first event of each window; window_ptr[-1] == E
-    motion : (B, 2) [px/s]
-    lag : (B, 2) [image px]       how far ON and OFF pixels lag along the motion; by default not at all
-    frame : (B, 3)                corner of the image (x, y) and side of its pixels [px]; by default 0, 0, 1
-    cfg                           shape of the splat
-    shape                         (Y, X) of the image; not needed with ``out``
-    out : (B, Y, X)               ACCUMULATED; made and zeroed when None
+    x, y : (E,) float [px]
+        Column and row; integers are pixel centres.
+    t : (E,) float [s]
+        Relative to the window's reference time.
+    weight : (E,) float [weight]
+        Mass of the splat; its sign tells ON from OFF.
+    window_ptr : (B + 1,) int32
+        First event of each window, and E.
+    motion : (B, 2) or (B, 6) float [px/s, 1/s]
+        Velocity (m_x, m_y) [px/s], the same everywhere; or, affine in position, (m_x, m_y, A_xx, A_xy, A_yx,
+        A_yy), the last four [1/s]: an event seen at p moves with ``m + A (p - c)``, c the middle of the
+        image.
+    lag : (B, 2) float [image px]
+        How far ON and OFF pixels lag along the motion; by default not at all.
+    frame : (B, 3) float [px]
+        Where the image lies: the sensor's pixel (x, y) in its first corner, and the side of its pixels; by
+        default (0, 0, 1).
+    cfg : SplatConfig
+        Shape of the splat.
+    shape : (int, int)
+        (Y, X) of the image; not needed with ``out``.
+    out : (B, Y, X) float [weight]
+        ACCUMULATED; made and zeroed when None.
+    backend, device : str
+        See `evqr_kernels.ops`.
 
     Returns
     -------
-    (B, Y, X)   the image; events that do not reach it are dropped
+    image : (B, Y, X) float [weight]
+        ``out``, or the new image; events that do not reach it are dropped.
 
-    Notes
-    -----
-    One thread an event.  Float atomics: on a GPU sums repeat to a tolerance, not bit for bit.
+    Raises
+    ------
+    ValueError
+        If ``window_ptr`` does not go from 0 to E without decreasing, ``motion`` has neither 2 nor 6 columns,
+        or a side in ``frame`` is not positive.
+    TypeError
+        If there is neither ``shape`` nor ``out``.
 
     See Also
     --------
-    splat_events_adjoint, bin_events
+    splat_events_adjoint, bin_events, deposit_events
+
+    Notes
+    -----
+    Cost: T^2 additions to the image an event and twice as many multiply-adds, with
+    T = 2 ceil(radius - 1/2) + 1, 5 by default; four exponentials an event, whatever T is; one pass,
+    no scratch.
+
+    Determinism: atomics; to rounding on GPUs, bit for bit on CPUs.
     """
     checks = ArrayChecks()
     lag, frame = _check_splat(checks, x, y, t, weight, window_ptr, motion, lag, frame)
@@ -93,17 +147,32 @@ def splat_events_adjoint(
 
     Parameters
     ----------
-    adj_image : (B, Y, X)   derivative of the loss with respect to the image
-    others                  as in `splat_events`
+    x, y, t, weight, window_ptr, motion, lag, frame, cfg
+        As in `splat_events`.
+    adj_image : (B, Y, X) float [loss / weight]
+        Derivative of the loss with respect to the image.
+    backend, device : str
+        See `evqr_kernels.ops`.
 
     Returns
     -------
-    (E,), (B, 2) or (B, 6)   derivatives of the loss with respect to weight and motion
+    adj_weight : (E,) float [loss / weight]
+        Derivative of the loss with respect to ``weight``; 0 for events that do not reach the image.
+    adj_motion : (B, 2) or (B, 6) float [loss s/px, loss s]
+        Derivative of the loss with respect to ``motion``.
+
+    Raises
+    ------
+    ValueError
+        As `splat_events`, and if ``adj_image`` does not have an image for each motion.
 
     Notes
     -----
-    One thread a chunk of events, no atomics: results repeat bit for bit.  Less than twice the cost of
-    `splat_events`.
+    Cost: T^2 reads of the image's adjoint an event and three times as many multiply-adds: up to twice the
+    time of `splat_events`.  Scratch of (B, ceil(E / 512), 2 or 6), which a second pass adds up.
+
+    Determinism: bit for bit.  How many parts the sum for the motion has depends on E: alone and in a batch a
+    window's ``adj_motion`` agrees to rounding.
     """
     checks = ArrayChecks()
     lag, frame = _check_splat(checks, x, y, t, weight, window_ptr, motion, lag, frame)
@@ -128,22 +197,40 @@ def deposit_events(
 
     Parameters
     ----------
-    x, y, t, weight, window_ptr, motion, frame
-                         as in `splat_events`
-    shape                (Y, X) of the images; not needed with ``out``
-    out : (B, 2, Y, X)   ACCUMULATED; made and zeroed when None
+    x, y, t, weight, window_ptr, frame
+        As in `splat_events`.
+    motion : (B, 2) float [px/s]
+        Velocity, the same everywhere; affine motions are for `splat_events` alone.
+    shape : (int, int)
+        (Y, X) of the images; not needed with ``out``.
+    out : (B, 2, Y, X) float [weight]
+        ACCUMULATED; made and zeroed when None.
+    backend, device : str
+        See `evqr_kernels.ops`.
 
     Returns
     -------
-    (B, 2, Y, X)   images of positive and negative weights; events that do not lie between cells are dropped
+    deposit : (B, 2, Y, X) float [weight]
+        Images of positive and of negative weights, with their signs; events that do not lie between four
+        cells are dropped.
 
-    Notes
-    -----
-    One thread for 64 events.  Float atomics: on a GPU sums repeat to a tolerance, not bit for bit.
+    Raises
+    ------
+    ValueError
+        If ``window_ptr`` does not go from 0 to E without decreasing, ``motion`` has not 2 columns, or a side
+        in ``frame`` is not positive.
+    TypeError
+        If there is neither ``shape`` nor ``out``.
 
     See Also
     --------
     deposit_events_adjoint, lag_operator
+
+    Notes
+    -----
+    Cost: four additions to the image an event, in one pass; no scratch.
+
+    Determinism: atomics; to rounding on GPUs, bit for bit on CPUs.
     """
     checks = ArrayChecks()
     frame = _check_transport(checks, x, y, t, weight, window_ptr, motion, frame)
@@ -167,16 +254,28 @@ def deposit_events_adjoint(
 
     Parameters
     ----------
-    adj_deposit : (B, 2, Y, X)   derivative of the loss with respect to the deposit
-    others                       as in `deposit_events`
+    x, y, t, weight, window_ptr, motion, frame
+        As in `deposit_events`.
+    adj_deposit : (B, 2, Y, X) float [loss / weight]
+        Derivative of the loss with respect to the deposit.
+    backend, device : str
+        See `evqr_kernels.ops`.
 
     Returns
     -------
-    (E,)   derivative of the loss with respect to weight
+    adj_weight : (E,) float [loss / weight]
+        Derivative of the loss with respect to ``weight``; 0 for events that were dropped.
+
+    Raises
+    ------
+    ValueError
+        As `deposit_events`, and if ``adj_deposit`` does not have two images for each motion.
 
     Notes
     -----
-    One thread an event, without atomics: results repeat bit for bit.
+    Cost: four reads and multiply-adds an event, in one pass; no scratch.
+
+    Determinism: bit for bit.
     """
     checks = ArrayChecks()
     frame = _check_transport(checks, x, y, t, weight, window_ptr, motion, frame)
@@ -196,19 +295,39 @@ def lag_operator(
 
     Parameters
     ----------
-    deposit : (B, 2, Y, X)         of ON and of OFF events; X at least 16 + K
-    deposit_idx : (N,) int32       the deposit that each image is made of
-    direction : (N, 2)             unit vector along which the pixels lag
-    lag : (N, 2) [image px]        of ON and of OFF pixels
-    taps : (2, K)                  a sampled blur and its slope; K odd, at least 3
+    deposit : (B, 2, Y, X) float [weight]
+        Of ON and of OFF events; X at least 16 + K.
+    deposit_idx : (N,) int32
+        The deposit that each image is made of.
+    direction : (N, 2) float [1]
+        Unit vector along which the pixels lag.
+    lag : (N, 2) float [image px]
+        Of ON and of OFF pixels.
+    taps : (2, K) float [1, 1 / image px]
+        A sampled blur and its slope; K odd, at least 3.
+    backend, device : str
+        See `evqr_kernels.ops`.
 
     Returns
     -------
-    (N, Y, X)   the images; 0 closer to the border than the taps reach
+    image : (N, Y, X) float [weight]
+        The images; 0 closer to the border than the taps reach.
+
+    Raises
+    ------
+    ValueError
+        If an entry of ``deposit_idx`` is not 0 to B - 1, K is even or less than 3, or X is less than 16 + K.
 
     See Also
     --------
     deposit_events, lag_operator_adjoint
+
+    Notes
+    -----
+    Cost: 6 K multiply-adds a pixel of each image, in two passes, along rows and columns; scratch of
+    (N, 2, Y, X).
+
+    Determinism: bit for bit.
     """
     checks = ArrayChecks()
     checks.floats("deposit", deposit, "B", 2, "Y", "X")
@@ -236,17 +355,32 @@ def lag_operator_adjoint(
 
     Parameters
     ----------
-    adj_image : (N, Y, X)   derivative of the loss with respect to the images
-    deposits                B, how many deposits there are
-    others                  as in `lag_operator`
+    deposit_idx, direction, lag, taps
+        As in `lag_operator`.
+    adj_image : (N, Y, X) float [loss / weight]
+        Derivative of the loss with respect to the images.
+    deposits : int
+        B, how many deposits there are.
+    backend, device : str
+        See `evqr_kernels.ops`.
 
     Returns
     -------
-    (B, 2, Y, X)   derivative of the loss with respect to the deposit; 0 where no image is made of it
+    adj_deposit : (B, 2, Y, X) float [loss / weight]
+        Derivative of the loss with respect to the deposit; 0 where no image is made of it.
+
+    Raises
+    ------
+    ValueError
+        If an entry of ``deposit_idx`` is not 0 to ``deposits`` - 1, ``deposits`` is less than 0, or K is even
+        or less than 3.
 
     Notes
     -----
-    One thread a cell, without atomics: results repeat bit for bit.
+    Cost: 5 K multiply-adds a pixel of each image, in two passes, along columns and rows; the second looks
+    all of ``deposit_idx`` over for each cell, or block of cells.  Scratch of (N, 2, Y, X).
+
+    Determinism: bit for bit; images of one deposit are added up in order.
     """
     checks = ArrayChecks()
     _check_lag(checks, deposit_idx, direction, lag, taps)

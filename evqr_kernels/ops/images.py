@@ -17,14 +17,38 @@ def motion_correlation(
 
     Parameters
     ----------
-    images : (B, 2, Y, X)
-    radius                  largest shift along an axis [px]
-    clip                    magnitude at which values are clipped, at least 0
+    images : (B, 2, Y, X) float [weight]
+        The first and the second of each pair; they are left as they are.
+    radius : int [px]
+        R, the largest shift along an axis.
+    clip : float [weight]
+        Magnitude at which values are clipped.
+    backend, device : str
+        See `evqr_kernels.ops`.
 
     Returns
     -------
-    (B, 2 R + 1, 2 R + 1)   entry (j, i) is the sum of first(y, x) second(y + j - R, x + i - R)
-    (B, 2)                  sums of the squares of the two images
+    correlation : (B, 2 R + 1, 2 R + 1) float [weight^2]
+        Entry (j, i) is the sum of first(y, x) second(y + j - R, x + i - R).
+    energy : (B, 2) float [weight^2]
+        Sums of the squares of the two images.
+
+    Raises
+    ------
+    ValueError
+        If ``radius`` or ``clip`` is less than 0.
+
+    See Also
+    --------
+    surface_peak
+
+    Notes
+    -----
+    Cost: (2 R + 1)^2 multiply-adds for each pixel of the first image that is not 0, then Y (2 R + 1)^2
+    additions; three passes.  Scratch: a copy of the images, (B, Y, X) int32, (B, Y, 2 R + 1, 2 R + 1 up to a
+    multiple of 16) and (B, Y, 2).
+
+    Determinism: bit for bit.
     """
     checks = ArrayChecks()
     checks.floats("images", images, "B", 2, "Y", "X")
@@ -49,12 +73,32 @@ def surface_peak(
 
     Parameters
     ----------
-    surface : (B, N, N)    N odd and at least 3
-    smoother : (N, N)      blurs along either axis
+    surface : (B, N, N) float [any]
+        N odd and at least 3.
+    smoother : (N, N) float [1]
+        Blurs along either axis.
+    backend, device : str
+        See `evqr_kernels.ops`.
 
     Returns
     -------
-    (B, 3)   x and y from the middle, and the blurred surface's value at the entry nearest to them
+    peak : (B, 3) float [steps, steps, of surface]
+        x and y from the middle entry, and the blurred surface's value at the entry nearest to them.
+
+    Raises
+    ------
+    ValueError
+        If N is even or less than 3.
+
+    See Also
+    --------
+    motion_correlation
+
+    Notes
+    -----
+    Cost: 2 N^3 multiply-adds a surface, by one thread; scratch of twice (B, N, N).
+
+    Determinism: bit for bit.
     """
     checks = ArrayChecks()
     checks.floats("surface", surface, "B", "N", "N")
@@ -76,13 +120,34 @@ def clip_outliers(
 
     Parameters
     ----------
-    image : (B, Y, X)
-    factor              of the mean magnitude, at least 0
+    image : (B, Y, X) float [any]
+        The images.
+    factor : float [1]
+        How many times the mean magnitude values are clipped at.
+    backend, device : str
+        See `evqr_kernels.ops`.
 
     Returns
     -------
-    (B, Y, X)
-    (B,)        how many pixels of each image are not 0
+    clipped : (B, Y, X) float [of image]
+        The images, clipped.
+    busy : (B,) float [px]
+        How many pixels of each image are not 0.
+
+    Raises
+    ------
+    ValueError
+        If ``factor`` is less than 0.
+
+    See Also
+    --------
+    correlate_templates
+
+    Notes
+    -----
+    Cost: two reads and a write a pixel, in three passes; scratch of (B, Y, 2) and (B,).
+
+    Determinism: bit for bit.
     """
     checks = ArrayChecks()
     checks.floats("image", image, "B", "Y", "X")
@@ -102,12 +167,29 @@ def reduce_image(image: Floats, *, ratio: float, backend: str = "auto", device: 
 
     Parameters
     ----------
-    image : (B, Y, X)
-    ratio               side of a coarse pixel in fine ones, at least 1
+    image : (B, Y, X) float [any]
+        The fine images.
+    ratio : float [px]
+        Side of a coarse pixel in fine ones.
+    backend, device : str
+        See `evqr_kernels.ops`.
 
     Returns
     -------
-    (B, ceil(Y / ratio), ceil(X / ratio))
+    coarse : (B, ceil(Y / ratio), ceil(X / ratio)) float [of image]
+        The coarse images: sums, not means.
+
+    Raises
+    ------
+    ValueError
+        If ``ratio`` is less than 1.
+
+    Notes
+    -----
+    Cost: at most two multiply-adds a fine pixel down columns, then about ``ratio`` + 1 a coarse pixel along
+    rows, by one thread a coarse row; scratch of (B, ceil(Y / ratio), X).
+
+    Determinism: bit for bit.
     """
     checks = ArrayChecks()
     checks.floats("image", image, "B", "Y", "X")
@@ -128,12 +210,28 @@ def mix_images(images: Floats, weight: Floats, *, backend: str = "auto", device:
 
     Parameters
     ----------
-    images : (K, Y, X)
-    weight : (N, K)
+    images : (K, Y, X) float [any]
+        What is mixed.
+    weight : (N, K) float [1]
+        How much of each image is in each sum.
+    backend, device : str
+        See `evqr_kernels.ops`.
 
     Returns
     -------
-    (N, Y, X)   image n is the sum of weight(n, k) times image k
+    mixed : (N, Y, X) float [of images]
+        Image n is the sum of weight(n, k) times image k.
+
+    Raises
+    ------
+    TypeError, ValueError
+        As every operation, and for nothing else.
+
+    Notes
+    -----
+    Cost: K multiply-adds a pixel of each sum, in one pass; scratch: a copy of the images.
+
+    Determinism: bit for bit.
     """
     checks = ArrayChecks()
     checks.floats("images", images, "K", "Y", "X")
@@ -163,17 +261,47 @@ def correlate_templates(
 
     Parameters
     ----------
-    image : (B, Y, X)
-    busy : (B,)         pixels that the energy of the image is spread over
-    basis : (N, N, 5)   orthonormal
-    mix : (A, 5)        mixture of the basis that each of A templates is, no longer than 1
-    spans : (N, 2)      in each column of a template the first row that counts, and the one behind the last
-    quiet               energy, relative to that of busy pixels, up to which a place is quiet: 0
-    least               magnitude below which a response is 0
+    image : (B, Y, X) float [any]
+        The images.
+    busy : (B,) float [px]
+        Pixels that the energy of the image is spread over: see `clip_outliers`.
+    basis : (N, N, 5) float [1]
+        Five templates, orthonormal.
+    mix : (A, 5) float [1]
+        Mixture of the basis that each of A templates is, no longer than 1.
+    spans : (N, 2) int32
+        In each column of a template the first row that counts, and the one behind the last.
+    quiet : float [1]
+        Energy, relative to that of busy pixels, up to which a place is quiet: its response is 0.
+    least : float [1]
+        Magnitude below which a response is 0.
+    backend, device : str
+        See `evqr_kernels.ops`.
 
     Returns
     -------
-    (B, Y - N + 1, X - N + 1), the same in int32   response, its sign kept, and the index of its template
+    response : (B, Y - N + 1, X - N + 1) float [1]
+        Of the best template at each place, its sign kept.
+    angle : (B, Y - N + 1, X - N + 1) int32
+        Index of that template; 0 where the response is 0.
+
+    Raises
+    ------
+    ValueError
+        If ``spans`` are not 0 to N or decrease within a column, or ``quiet`` or ``least`` is less than 0.
+
+    See Also
+    --------
+    local_maxima
+
+    Notes
+    -----
+    Cost: one multiply-add a pixel for running sums and 2 N additions a place for its energy; where that is
+    not quiet, 5 multiply-adds a place and pixel that counts, of which there are up to N^2, and 5 A more; four
+    passes.  Quiet places are left out by blocks of 16 on a CPU, of 4 on a GPU.  Scratch: a copy of the image,
+    (B, Y + 1, X), (B,), and six of the response's size.
+
+    Determinism: bit for bit.
     """
     checks = ArrayChecks()
     checks.floats("image", image, "B", "Y", "X")
@@ -224,16 +352,42 @@ def local_maxima(
 
     Parameters
     ----------
-    response, angle : (B, Y, X)   Y and X at least 3; ``angle`` is int32
-    least                         magnitude that a maximum exceeds, at least 0
-    cell                          size of an entry [px]
-    size                          written to the maxima: what the level stands for [px]
-    turn                          angle of one step of ``angle`` [rad]
-    most                          maxima kept of a row, the strongest
+    response : (B, Y, X) float [any]
+        Y and X at least 3.
+    angle : (B, Y, X) int32
+        Index of the template of each response.
+    least : float [of response]
+        Magnitude that a maximum exceeds.
+    cell : float [px]
+        Size of an entry.
+    size : float [px]
+        Written to the maxima: what the level stands for.
+    turn : float [rad]
+        Angle of one step of ``angle``.
+    most : int
+        Maxima kept of a row, the strongest.
+    backend, device : str
+        See `evqr_kernels.ops`.
 
     Returns
     -------
-    (B, Y, most, 5)   response, x, y [px], size, angle [rad]; response 0 where there is none
+    maxima : (B, Y, most, 5) float [of response, px, px, px, rad]
+        Response, x, y, size and angle, by x; response 0 where there is none.
+
+    Raises
+    ------
+    ValueError
+        If Y or X is less than 3, ``least``, ``cell`` or ``size`` less than 0, or ``most`` less than 1.
+
+    See Also
+    --------
+    merge_maxima
+
+    Notes
+    -----
+    Cost: one read an entry, and nine where its magnitude exceeds ``least``, by one thread a row; no scratch.
+
+    Determinism: bit for bit.
     """
     checks = ArrayChecks()
     checks.floats("response", response, "B", "Y", "X")
@@ -264,14 +418,37 @@ def merge_maxima(
 
     Parameters
     ----------
-    maxima : (B, N, 5)   of `local_maxima`
-    apart                distance within which a weaker one of the same sign is left out [its sizes]
-    log_ratio            |log| of the ratio of sizes from which on two are different
-    most                 kept
+    maxima : (B, N, 5) float [any, px, px, px, rad]
+        Response, x, y, size and angle, as of `local_maxima`; those of response 0 are none.
+    apart : float [sizes]
+        Distance, in sizes of the stronger one, within which a weaker one of the same sign is left out.
+    log_ratio : float [1]
+        Logarithm of the ratio of sizes, as a magnitude, from which on two are different.
+    most : int
+        How many are kept.
+    backend, device : str
+        See `evqr_kernels.ops`.
 
     Returns
     -------
-    (B, most, 5)   as the maxima; response 0 behind the last
+    peaks : (B, most, 5) float [of maxima]
+        As the maxima; response 0 behind the last.
+
+    Raises
+    ------
+    ValueError
+        If ``apart`` or ``log_ratio`` is less than 0, or ``most`` less than 1.
+
+    See Also
+    --------
+    match_corners
+
+    Notes
+    -----
+    Cost: each peak kept looks twice at all maxima that are not 0: at most 2 ``most`` N steps a window, by one
+    thread; scratch of (B, N), and (B, N) int32.
+
+    Determinism: bit for bit.
     """
     checks = ArrayChecks()
     checks.floats("maxima", maxima, "B", "N", 5)
@@ -294,15 +471,37 @@ def match_corners(
 
     Parameters
     ----------
-    peaks : (B, P, 5)    of `merge_maxima`
-    tolerances : (5,)    |log| of the ratio of the legs; |log| of sizes; angles [rad]; logarithms of the
-                         fewest and the most modules between the finder patterns of a code
-    most                 kept of a corner, the best
+    peaks : (B, P, 5) float [any, px, px, px, rad]
+        Response, x, y, size and angle, as of `merge_maxima`: none of response 0 before another.
+    tolerances : (5,) float [1, 1, rad, 1, 1]
+        Logarithm of the ratio of the legs, as a magnitude; the same of sizes; angles; logarithms of the
+        fewest and the most modules between the finder patterns of a code.
+    most : int
+        Triples kept of a corner, the best.
+    backend, device : str
+        See `evqr_kernels.ops`.
 
     Returns
     -------
-    (B, P, most, 4)   for each peak as the corner: sum of the three |responses|, index of the peak along u,
-                      of the one along v, and log modules between them; best first, 0 where there is none
+    triples : (B, P, most, 4) float [any, index, index, 1]
+        For each peak as the corner: sum of the three responses' magnitudes, index of the peak along u, of the
+        one along v, and logarithm of the modules between them; best first, 0 where there is none.
+
+    Raises
+    ------
+    ValueError
+        If ``most`` is less than 1.
+
+    See Also
+    --------
+    merge_maxima
+
+    Notes
+    -----
+    Cost: for each peak P others are tried as the end of a leg, and all pairs of those that may be one: at
+    most P^3 steps a window, by one thread a peak; scratch of (B, P, P, 3), and (B, P, P) int32.
+
+    Determinism: bit for bit.
     """
     checks = ArrayChecks()
     checks.floats("peaks", peaks, "B", "P", 5)

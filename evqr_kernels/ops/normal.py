@@ -18,24 +18,42 @@ def pose_normal_equations(
 
     Parameters
     ----------
-    moments : (N, C + 1)             of `sample_moments`
-    gram : (C, C)                    table^T table of its table
+    moments : (N, C + 1) float [weight x table, weight^2]
+        Of `sample_moments`.
+    gram : (C, C) float [table^2]
+        ``table^T table`` of its table, the last two columns of which are slopes along u and v.
     terms, factors : (P + 2, 4) int32
-        columns of the table that make up each parameter's derivative, and their factors: see `align_poses`;
-        six or eight parameters, then the two of the gain
-    ridge                            regularises the gain, relative to the trace of its Gram matrix
+        Columns of the table that make up each parameter's derivative, and their factors: see
+        `align_poses`.  P is 6 or 8; the last two rows are those of the gain.
+    ridge : float [1]
+        Regularises the gain, relative to the trace of its Gram matrix.
+    backend, device : str
+        See `evqr_kernels.ops`.
 
     Returns
     -------
-    (N, 2), (N, P + 2, P + 2), (N, P + 2)   gain; J^T J; J^T r.  The step is -matrix^-1 rhs
+    gain : (N, 2) float [weight / table]
+        Along u and v, by least squares.
+    matrix : (N, P + 2, P + 2) float [weight^2]
+        ``J^T J``; rows and columns of the gain are [weight table] and, where they meet, [table^2].
+    rhs : (N, P + 2) float [weight^2]
+        ``J^T r``, of the gain [weight table].  The step is ``-matrix^-1 rhs``.
 
-    Notes
-    -----
-    One thread an entry, no atomics: results repeat bit for bit.
+    Raises
+    ------
+    ValueError
+        If ``terms`` and ``factors`` do not have 8 or 10 rows, an entry of ``terms`` is not 0 to C - 1, or C
+        is less than 2.
 
     See Also
     --------
     sample_moments, align_poses
+
+    Notes
+    -----
+    Cost: 16 multiply-adds an entry of the matrix, by one thread each, whatever S is; no scratch.
+
+    Determinism: bit for bit.
     """
     checks = ArrayChecks()
     checks.floats("gram", gram, "C", "C")
@@ -64,20 +82,35 @@ def code_normal_equations(
 
     Parameters
     ----------
-    reach    modules on either side that the stencil covers; exact from (P - 1) // samples_a_module on
-    others   as in `code_rhs`
+    image, pose, lattice, profile, slope, gain, samples_a_module
+        As in `code_rhs`.
+    reach : int [modules]
+        On either side that the stencil covers; exact from (P - 1) // ``samples_a_module`` on.
+    backend, device : str
+        See `evqr_kernels.ops`.
 
     Returns
     -------
-    (B, K, K), (B, M, M)   stencil, K = 2 reach + 1, and right-hand side
+    stencil : (B, K, K) float [weight^2]
+        ``A^T A``, the same for all modules; K = 2 ``reach`` + 1.
+    rhs : (B, M, M) float [weight^2]
+        ``A^T E``, as of `code_rhs`.
 
-    Notes
-    -----
-    One thread an entry of the stencil, no atomics: results repeat bit for bit.
+    Raises
+    ------
+    ValueError
+        If ``samples_a_module`` is less than 1, or ``reach`` is less than 0.
 
     See Also
     --------
     code_product, solve_code, solve_code_banded
+
+    Notes
+    -----
+    Cost: at most 8 P multiply-adds an entry of the stencil, by one thread each, and all of `code_rhs`, with
+    its scratch.
+
+    Determinism: bit for bit.
     """
     checks = ArrayChecks()
     checks.floats("image", image, "B", "Y", "X")
@@ -108,18 +141,38 @@ def code_product(
 
     Parameters
     ----------
-    q : (B, M, M)            taken as it is on all modules, fixed ones included
-    stencil : (B, K, K)      K odd
-    damping : (B,)
+    q : (B, M, M) float [1]
+        Taken as it is on all modules, fixed ones included.
+    stencil : (B, K, K) float [weight^2]
+        K odd.
+    damping : (B,) float [weight^2]
+        Added to the diagonal.
     free : (M, M) int32
+        Modules with 0 are not free.
+    backend, device : str
+        See `evqr_kernels.ops`.
 
     Returns
     -------
-    (B, M, M)
+    product : (B, M, M) float [weight^2]
+        The product.
+
+    Raises
+    ------
+    ValueError
+        If K is even.
+
+    See Also
+    --------
+    solve_code
 
     Notes
     -----
-    One thread a module: results repeat bit for bit.  It is its own adjoint where q is 0 on fixed modules.
+    It is its own adjoint where the stencil is symmetric and q is 0 on fixed modules.
+
+    Cost: K^2 + 1 multiply-adds a module, by one thread each; no scratch.
+
+    Determinism: bit for bit.
     """
     checks = ArrayChecks()
     checks.floats("q", q, "B", "M", "M")
@@ -138,24 +191,39 @@ def solve_code_banded(
 
     Parameters
     ----------
-    rhs : (B, M, M)
-    stencil : (B, K, K)      K odd; positive definite together with the damping, or q is NaN
-    damping : (B,)
-    free : (M, M) int32      modules that are solved for; the others keep their start
-    start : (B, M, M)        values of the modules that are not free
+    rhs : (B, M, M) float [weight^2]
+        Right-hand side: see `code_rhs`.
+    stencil : (B, K, K) float [weight^2]
+        K odd; positive definite together with the damping, or q is NaN.
+    damping : (B,) float [weight^2]
+        Added to the diagonal.
+    free : (M, M) int32
+        Modules that are solved for; those with 0 keep their start.
+    start : (B, M, M) float [1]
+        Values of the modules that are not free; left as it is.
+    backend, device : str
+        See `evqr_kernels.ops`.
 
     Returns
     -------
-    (B, M, M)   q
+    q : (B, M, M) float [1]
+        The solution.
 
-    Notes
-    -----
-    One thread a window, no atomics: results repeat bit for bit.  M^4 (K / 2)^2 / 2 multiply-adds and
-    M^3 (K / 2) numbers of scratch a window, whatever the condition.
+    Raises
+    ------
+    ValueError
+        If K is even.
 
     See Also
     --------
     solve_code
+
+    Notes
+    -----
+    Cost: M^4 (K / 2)^2 / 2 multiply-adds a window, whatever the condition, by one thread: on a GPU it takes a
+    batch of hundreds.  Scratch of (B, M^2, (K // 2) (M + 1) + 1).
+
+    Determinism: bit for bit.
     """
     checks = ArrayChecks()
     checks.floats("rhs", rhs, "B", "M", "M")

@@ -17,26 +17,45 @@ def render_code(
 
     Parameters
     ----------
-    grid : (B, G, H)     values at the nodes; integers of grid coordinates are module centres
-    to_grid : (B, 6) or (B, 8)
-        image pixel to grid: u = (W_0 x + W_1 y + W_2) / d, v = (W_3 x + W_4 y + W_5) / d with d = 1, or
-        d = W_6 x + W_7 y + 1 where that is positive
-    outside : (B,)       value beyond the grid
-    sigma [modules]      a module is a box blurred by a Gaussian of 0.02 to 1; 0: bilinear between the nodes
-    shape                (Y, X) of the image; not needed with ``out``
-    out : (B, Y, X)      OVERWRITTEN; made when None
+    grid : (B, G, H) float [any]
+        Values at the nodes; integers of grid coordinates are module centres.
+    to_grid : (B, 6) or (B, 8) float [image px to modules]
+        W, from a pixel to the grid: u = (W_0 x + W_1 y + W_2) / d, v = (W_3 x + W_4 y + W_5) / d with d = 1,
+        or d = W_6 x + W_7 y + 1 where that is positive.
+    outside : (B,) float [of grid]
+        Value beyond the grid, and where d is not positive.
+    sigma : float [modules]
+        A module is a box blurred by a Gaussian of 0.02 to 1; 0: bilinear between the nodes.
+    shape : (int, int)
+        (Y, X) of the image; not needed with ``out``.
+    out : (B, Y, X) float [of grid]
+        OVERWRITTEN; made when None.
+    backend, device : str
+        See `evqr_kernels.ops`.
 
     Returns
     -------
-    (B, Y, X)
+    image : (B, Y, X) float [of grid]
+        ``out``, or the new image.
 
-    Notes
-    -----
-    One thread a row of pixels, each pixel written once: results repeat bit for bit.
+    Raises
+    ------
+    ValueError
+        If ``to_grid`` has neither 6 nor 8 columns, or ``sigma`` is neither 0 nor 0.02 to 1.
+    TypeError
+        If there is neither ``shape`` nor ``out``.
 
     See Also
     --------
     render_code_adjoint, brightness_residual
+
+    Notes
+    -----
+    Cost: T^2 + T multiply-adds a pixel that sees the grid, where it sees T nodes along an axis: 2, or with
+    ``sigma`` ceil(1 + 12 sigma), which then takes 2 T + 2 error functions.  One thread a row of pixels, no
+    scratch.
+
+    Determinism: bit for bit.
     """
     checks = ArrayChecks()
     _check_render(checks, grid, to_grid, outside, sigma)
@@ -55,16 +74,31 @@ def render_code_adjoint(
 
     Parameters
     ----------
-    adj_image : (B, Y, X)   derivative of the loss with respect to the image
-    others                  as in `render_code`
+    grid, to_grid, outside, sigma
+        As in `render_code`.
+    adj_image : (B, Y, X) float [loss / grid]
+        Derivative of the loss with respect to the image.
+    backend, device : str
+        See `evqr_kernels.ops`.
 
     Returns
     -------
-    (B, G, H), (B, 6) or (B, 8)   derivatives of the loss with respect to grid and map
+    adj_grid : (B, G, H) float [loss / grid]
+        Derivative of the loss with respect to the grid.
+    adj_to_grid : (B, 6) or (B, 8) float [loss / to_grid]
+        Derivative of the loss with respect to the map.
+
+    Raises
+    ------
+    ValueError
+        If ``to_grid`` has neither 6 nor 8 columns, or ``sigma`` is neither 0 nor 0.02 to 1.
 
     Notes
     -----
-    Rows of pixels, and on a GPU nodes, add up on a thread each: results repeat bit for bit.
+    Cost: some three times the multiply-adds of `render_code`; on a GPU one pass more, in which each node
+    visits all pixels that can see it.  Scratch of (B, Y, 6 or 8), which a last pass adds up.
+
+    Determinism: bit for bit.
     """
     checks = ArrayChecks()
     _check_render(checks, grid, to_grid, outside, sigma)
@@ -88,13 +122,36 @@ def brightness_residual(
 
     Parameters
     ----------
-    luminance, events_image : (B, Y, X)
-    motion : (B, 2)                       displacement over the window [px]
-    out : (B, Y, X)                       OVERWRITTEN; made when None
+    luminance : (B, Y, X) float [any]
+        The image of the code; beyond the border lies the border's own pixel.
+    events_image : (B, Y, X) float [of luminance]
+        The image of events, in units of the luminance.
+    motion : (B, 2) float [image px]
+        Displacement (x, y) over the window.
+    out : (B, Y, X) float [of luminance]
+        OVERWRITTEN; made when None.
+    backend, device : str
+        See `evqr_kernels.ops`.
 
     Returns
     -------
-    (B, Y, X)
+    residual : (B, Y, X) float [of luminance]
+        ``out``, or the new image.
+
+    Raises
+    ------
+    TypeError, ValueError
+        As every operation, and for nothing else.
+
+    See Also
+    --------
+    render_code, brightness_residual_adjoint
+
+    Notes
+    -----
+    Cost: five reads and two multiply-adds a pixel, in one pass, by one thread a row; no scratch.
+
+    Determinism: bit for bit.
     """
     checks = ArrayChecks()
     checks.floats("luminance", luminance, "B", "Y", "X")
@@ -120,13 +177,31 @@ def brightness_residual_adjoint(
 
     Parameters
     ----------
-    luminance : (B, Y, X)
-    motion : (B, 2)            displacement over the window [px]
-    adj_residual : (B, Y, X)   derivative of the loss with respect to the residual
+    luminance, motion
+        As in `brightness_residual`.
+    adj_residual : (B, Y, X) float [loss / luminance]
+        Derivative of the loss with respect to the residual.
+    backend, device : str
+        See `evqr_kernels.ops`.
 
     Returns
     -------
-    (B, Y, X), (B, 2)   derivatives of the loss with respect to luminance and motion
+    adj_luminance : (B, Y, X) float [loss / luminance]
+        Derivative of the loss with respect to the luminance.
+    adj_motion : (B, 2) float [loss / image px]
+        Derivative of the loss with respect to the motion.
+
+    Raises
+    ------
+    TypeError, ValueError
+        As every operation, and for nothing else.
+
+    Notes
+    -----
+    Cost: nine reads and some five multiply-adds a pixel, by one thread a row; scratch of (B, Y, 2), which a
+    second pass adds up.
+
+    Determinism: bit for bit.
     """
     checks = ArrayChecks()
     checks.floats("luminance", luminance, "B", "Y", "X")
