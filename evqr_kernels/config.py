@@ -16,7 +16,7 @@ class SplatConfig:
     Attributes
     ----------
     epsilon_px : standard deviation of the Gaussian before it is taken to zero, 0.3 to 8 [image px]
-    radius_px  : where the splat ends [image px]; by default three standard deviations
+    radius_px  : where the splat ends, at most 8 standard deviations [image px]; 3 by default
     """
 
     epsilon_px: float = 0.8
@@ -27,8 +27,10 @@ class SplatConfig:
             raise ValueError(f"epsilon_px must be 0.3 to 8, got {self.epsilon_px}")
         if self.radius_px == 0.0:
             object.__setattr__(self, "radius_px", 3.0 * self.epsilon_px)
-        if not self.epsilon_px <= self.radius_px <= 32.0:
-            raise ValueError(f"radius_px must be epsilon_px to 32, got {self.radius_px}")
+        # farther out a Gaussian is lost in rounding, and what kernels compute it from overflows
+        most = min(8.0 * self.epsilon_px, 32.0)
+        if not self.epsilon_px <= self.radius_px <= most:
+            raise ValueError(f"radius_px must be epsilon_px to {most:g}, got {self.radius_px}")
 
     @property
     def reach(self) -> int:

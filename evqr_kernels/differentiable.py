@@ -19,7 +19,7 @@ from numpy.typing import DTypeLike
 from evqr_kernels.backend import Array
 from evqr_kernels.checks import ArrayChecks, check_size
 from evqr_kernels.config import SplatConfig
-from evqr_kernels.launch import CHUNK
+from evqr_kernels.launch import CHUNK, chunks_of
 
 Shape = tuple[int, ...]
 Shapes = Mapping[str, Shape]
@@ -101,7 +101,9 @@ def splat_events(shape: tuple[int, int], cfg: SplatConfig) -> Rule:
         indices=("window_ptr",),
         varied=("weight", "motion"),
         output=lambda sizes: (sizes["motion"][0], *shape),
-        adjoint_scratch=lambda sizes: [(sizes["motion"][0], _chunks(sizes["x"][0]), sizes["motion"][1])],
+        adjoint_scratch=lambda sizes: [
+            (sizes["motion"][0], chunks_of(sizes["x"][0], sizes["motion"][0]), sizes["motion"][1])
+        ],
         forward=forward,
         adjoint=lambda backend, given, adj, scratch, adjoints: backend.splat_events_adjoint(
             *given, adj, *scratch, *adjoints, cfg

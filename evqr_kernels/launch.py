@@ -11,7 +11,15 @@ from evqr_kernels.backend import get_backend, require_device
 from evqr_kernels.checks import ArrayChecks, check_size
 
 CHUNK = 512
-"""Events or samples that one thread adds up."""
+"""Samples that one thread adds up."""
+
+EVENTS = 64
+"""Events of a window that one thread adds up, or more where the window has more than most."""
+
+
+def chunks_of(events: int, windows: int) -> int:
+    """Give how many threads a window's events are shared out among."""
+    return max(1, -(-events // (EVENTS * max(windows, 1))))
 
 
 class Launch:

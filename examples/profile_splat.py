@@ -17,7 +17,8 @@ import numpy as np
 
 from evqr_kernels import SplatConfig, get_backend
 
-CHUNK = 512
+CHUNK = 64
+"""Events whose adjoints one thread adds up."""
 
 
 def main() -> int:

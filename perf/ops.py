@@ -12,10 +12,11 @@ import numpy as np
 from problems import Problem, Size
 
 from evqr_kernels import KernelBackend, SplatConfig
+from evqr_kernels.launch import chunks_of
 
 SPLAT = SplatConfig()
 CHUNK = 512
-"""Events or samples that one thread of a sum takes."""
+"""Samples that one thread of a sum takes."""
 
 SAMPLES_A_MODULE = 4
 PROFILE_MODULES = 5
@@ -74,7 +75,7 @@ def splat_events_affine(size: Size, rng, dtype) -> Problem:
 def _splat_adjoint(size: Size, rng, dtype, parameters: int) -> Problem:
     problem = _splat(size, rng, dtype, parameters)
     taps, count = 2 * SPLAT.reach + 1, problem.items
-    chunks = np.zeros((size.batch, -(-count // CHUNK), parameters), dtype)
+    chunks = np.zeros((size.batch, chunks_of(count, size.batch), parameters), dtype)
     outputs = [chunks, np.zeros(count, dtype), np.zeros((size.batch, parameters), dtype)]
     inputs = [*problem.inputs, _image(size, rng, dtype)]
     madds = count * (2 * 16 * taps + 3 * taps**2 + 7 * taps)

@@ -7,7 +7,7 @@ import numpy as np
 from evqr_kernels.checks import ArrayChecks, Floats, Ints
 from evqr_kernels.config import SplatConfig
 from evqr_kernels.interop import any_arrays
-from evqr_kernels.launch import CHUNK, Launch
+from evqr_kernels.launch import Launch, chunks_of
 
 
 @any_arrays
@@ -169,10 +169,10 @@ def splat_events_adjoint(
     Notes
     -----
     Cost: T^2 reads of the image's adjoint an event and three times as many multiply-adds: up to twice the
-    time of `splat_events`.  Scratch of (B, ceil(E / 512), 2 or 6), which a second pass adds up.
+    time of `splat_events`.  Scratch of (B, ceil(E / 64 B), 2 or 6), which a second pass adds up.
 
-    Determinism: bit for bit.  How many parts the sum for the motion has depends on E: alone and in a batch a
-    window's ``adj_motion`` agrees to rounding.
+    Determinism: bit for bit, alone and in a batch of windows of a size.  Where a window has more events than
+    most, more than 64 of them make a part of the sum: its ``adj_motion`` then agrees to rounding.
     """
     checks = ArrayChecks()
     lag, frame = _check_splat(checks, x, y, t, weight, window_ptr, motion, lag, frame)
@@ -180,7 +180,7 @@ def splat_events_adjoint(
     launch = Launch("splat_events_adjoint", checks, backend, device)
     inputs = launch.put(x, y, t, weight, window_ptr, motion, lag, frame, adj_image)
     events, windows = len(x), len(motion)
-    chunks = launch.scratch(windows, max(1, -(-events // CHUNK)), motion.shape[1])
+    chunks = launch.scratch(windows, chunks_of(events, windows), motion.shape[1])
     adj_weight, adj_motion = launch.result(None, events), launch.result(None, *motion.shape)
     launch.run(*inputs, chunks, adj_weight, adj_motion, cfg or SplatConfig())
     adj_weight, adj_motion = launch.results()

@@ -52,8 +52,8 @@ def render_code(
     Notes
     -----
     Cost: T^2 + T multiply-adds a pixel that sees the grid, where it sees T nodes along an axis: 2, or with
-    ``sigma`` ceil(1 + 12 sigma), which then takes 2 T + 2 error functions.  One thread a row of pixels, no
-    scratch.
+    ``sigma`` ceil(1 + 12 sigma) but at least 3, and then it takes 2 T + 2 error functions.  One thread a row
+    of pixels, no scratch.
 
     Determinism: bit for bit.
     """

@@ -4,7 +4,7 @@ from functools import cache
 
 from evqr_kernels.taichi_backend.language import array, block_of, float_of, row_of, row_of_plane, run_at, ti
 from evqr_kernels.taichi_backend.launches import launch
-from evqr_kernels.taichi_backend.splat import CHUNK, chunks_of, end_of_chunk, make_add, owners
+from evqr_kernels.taichi_backend.splat import chunks_of, length_of_chunk, make_add, owners
 from evqr_kernels.taichi_backend.transport import make_transport
 
 MOST_CELLS = 8
@@ -13,7 +13,7 @@ MOST_CELLS = 8
 
 @cache
 def make_deposit_events(dtype, shared: bool, alone: bool):
-    """Build the kernel; one thread per (window, chunk of the longest window)."""
+    """Build the kernel; one thread per (window, chunk of events)."""
     add = make_add(shared)
     transport = make_transport(dtype)
 
@@ -41,8 +41,10 @@ def make_deposit_events(dtype, shared: bool, alone: bool):
             inverse_scale = dtype(1.0) / frame[b, 2]
             right = dtype(deposit_out.shape[3] - 1)
             bottom = dtype(deposit_out.shape[2] - 1)
-            first = window_ptr[b] + k * CHUNK
-            for e in range(first, end_of_chunk(first, window_ptr[b + 1], shared)):
+            end = window_ptr[b + 1]
+            length = length_of_chunk(end - window_ptr[b], chunks, shared)
+            first = window_ptr[b] + k * length
+            for e in range(first, ti.min(first + length, end)):
                 cx = transport(x[e], t[e], motion_x, origin_x, inverse_scale)
                 cy = transport(y[e], t[e], motion_y, origin_y, inverse_scale)
                 # written so that it is false for NaN
@@ -66,7 +68,9 @@ def deposit_events(x, y, t, weight, window_ptr, motion, frame, deposit_out) -> N
     """Launch; accumulates.  Float atomics on GPUs: sums repeat to a tolerance there, not bit for bit."""
     threads = owners(x, window_ptr)
     kernel = make_deposit_events(float_of(x), *threads)
-    launch(kernel, x, y, t, weight, window_ptr, motion, frame, chunks_of(x, *threads), deposit_out)
+    launch(
+        kernel, x, y, t, weight, window_ptr, motion, frame, chunks_of(x, window_ptr, *threads), deposit_out
+    )
 
 
 @cache

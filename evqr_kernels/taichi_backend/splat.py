@@ -61,20 +61,21 @@ def owners(x, window_ptr) -> tuple[bool, bool]:
     return not on_cpu, on_cpu and window_ptr.shape[0] == 2
 
 
-def chunks_of(x, shared: bool, alone: bool) -> int:
+def chunks_of(x, window_ptr, shared: bool, alone: bool) -> int:
     """Choose how many indices of a loop a window has: a chunk of events each, or all of them the first."""
-    return -(-x.shape[0] // CHUNK) if shared else indices_of_window(alone)
+    windows = window_ptr.shape[0] - 1
+    return -(-x.shape[0] // (CHUNK * max(windows, 1))) if shared else indices_of_window(alone)
 
 
 @ti.func
-def end_of_chunk(first, end, shared: ti.template()):
-    """Give where a thread's events end that begin at ``first``, of a window's that end at ``end``."""
-    return ti.min(first + CHUNK, end) if ti.static(shared) else end
+def length_of_chunk(count, chunks, shared: ti.template()):
+    """Give how many of a window's ``count`` events each of its ``chunks`` has."""
+    return ti.max((count + chunks - 1) // chunks, CHUNK) if ti.static(shared) else count
 
 
 @cache
 def make_bin_events(dtype, shared: bool, alone: bool):
-    """Build the binning kernel; one thread per (window, chunk of the longest window)."""
+    """Build the binning kernel; one thread per (window, chunk of events)."""
     add = make_add(shared)
 
     @ti.kernel
@@ -94,8 +95,10 @@ def make_bin_events(dtype, shared: bool, alone: bool):
                     continue
             right = dtype(image_out.shape[2])
             bottom = dtype(image_out.shape[1])
-            first = window_ptr[b] + k * CHUNK
-            for e in range(first, end_of_chunk(first, window_ptr[b + 1], shared)):
+            end = window_ptr[b + 1]
+            length = length_of_chunk(end - window_ptr[b], chunks, shared)
+            first = window_ptr[b] + k * length
+            for e in range(first, ti.min(first + length, end)):
                 column = (x[e] + dtype(0.5)) * inverse_reduction
                 row = (y[e] + dtype(0.5)) * inverse_reduction
                 # written so that it is false for NaN
@@ -109,7 +112,7 @@ def bin_events(x, y, weight, window_ptr, reduction: float, image_out) -> None:
     """Launch; accumulates.  Float atomics on GPUs: sums repeat to a tolerance there, not bit for bit."""
     threads = owners(x, window_ptr)
     kernel = make_bin_events(float_of(x), *threads)
-    launch(kernel, x, y, weight, window_ptr, 1.0 / reduction, chunks_of(x, *threads), image_out)
+    launch(kernel, x, y, weight, window_ptr, 1.0 / reduction, chunks_of(x, window_ptr, *threads), image_out)
 
 
 @cache
@@ -193,8 +196,10 @@ def make_splat_events(dtype, cfg: SplatConfig, parameters: int, shared: bool, al
             width = image_out.shape[2]
             middle_x = middle(origin_x, scale, width)
             middle_y = middle(origin_y, scale, height)
-            first = window_ptr[b] + k * CHUNK
-            for e in range(first, end_of_chunk(first, window_ptr[b + 1], shared)):
+            end = window_ptr[b + 1]
+            length = length_of_chunk(end - window_ptr[b], chunks, shared)
+            first = window_ptr[b] + k * length
+            for e in range(first, ti.min(first + length, end)):
                 motion_x, motion_y = velocity(motion, b, x[e] - middle_x, y[e] - middle_y)
                 cx = transport(x[e], t[e], motion_x, origin_x, inverse_scale)
                 cy = transport(y[e], t[e], motion_y, origin_y, inverse_scale)
@@ -235,4 +240,6 @@ def splat_events(x, y, t, weight, window_ptr, motion, lag, frame, image_out, cfg
     """Launch; accumulates.  Float atomics on GPUs: sums repeat to a tolerance there, not bit for bit."""
     threads = owners(x, window_ptr)
     kernel = make_splat_events(float_of(x), cfg, motion.shape[1], *threads)
-    launch(kernel, x, y, t, weight, window_ptr, motion, lag, frame, chunks_of(x, *threads), image_out)
+    launch(
+        kernel, x, y, t, weight, window_ptr, motion, lag, frame, chunks_of(x, window_ptr, *threads), image_out
+    )

@@ -5,7 +5,7 @@ from functools import cache
 from evqr_kernels.config import SplatConfig
 from evqr_kernels.taichi_backend.language import array, float_of, row_of, run_at, ti
 from evqr_kernels.taichi_backend.launches import launch
-from evqr_kernels.taichi_backend.splat import make_splat_taps
+from evqr_kernels.taichi_backend.splat import CHUNK, make_splat_taps
 from evqr_kernels.taichi_backend.sums import add_partials
 from evqr_kernels.taichi_backend.transport import make_middle, make_transport, make_velocity
 
@@ -63,7 +63,7 @@ def make_splat_events_adjoint(dtype, cfg: SplatConfig, parameters: int):
         for window, chunk in ti.ndrange(chunks_out.shape[0], chunks_out.shape[1]):
             begin = window_ptr[window]
             end = window_ptr[window + 1]
-            length = (end - begin + chunks_out.shape[1] - 1) // chunks_out.shape[1]
+            length = ti.max((end - begin + chunks_out.shape[1] - 1) // chunks_out.shape[1], CHUNK)
             height = adj_image.shape[1]
             width = adj_image.shape[2]
             origin_x = frame[window, 0]

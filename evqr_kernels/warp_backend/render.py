@@ -45,7 +45,7 @@ def reach_of(sigma: float) -> float:
 
 def taps_of(sigma: float) -> int:
     """Give how many nodes along an axis a pixel sees, at most; 2 means bilinear."""
-    return math.ceil(2.0 * reach_of(sigma)) if sigma else 2
+    return max(math.ceil(2.0 * reach_of(sigma)), 3) if sigma else 2
 
 
 @cache

@@ -16,7 +16,6 @@ The splat is separable: the pixels around an event are summed along columns firs
 and what is left is one row for each of the three.
 """
 
-import math
 from functools import cache
 
 import warp as wp
@@ -31,6 +30,7 @@ from evqr_kernels.warp_backend.language import (
     neighbours,
     vector,
 )
+from evqr_kernels.warp_backend.splat import CHUNK
 from evqr_kernels.warp_backend.sums import add_partials
 from evqr_kernels.warp_backend.transport import (
     make_middle,
@@ -38,12 +38,6 @@ from evqr_kernels.warp_backend.transport import (
     make_velocity,
     make_velocity_adjoint,
 )
-
-
-def reach_of(dtype: type, cfg: SplatConfig) -> int:
-    """Give the pixels on either side that matter: beyond, a wide splat's Gaussian is lost in rounding."""
-    rounding = 2.0**-24 if dtype is wp.float32 else 2.0**-53
-    return min(cfg.reach, math.ceil(cfg.epsilon_px * math.sqrt(-2.0 * math.log(rounding))))
 
 
 @cache
@@ -117,7 +111,7 @@ def make_smooth(dtype: type, cfg: SplatConfig, columns: int, on_cpu: bool) -> wp
     ``rows``: `neighbours` of the image.  Near its sides the ``columns`` that are read are the last ones
     inside: pixels that are farther off than the splat reaches have profile 0.
     """
-    reach = reach_of(dtype, cfg)
+    reach = cfg.reach
     middle = columns // 2
     vec_columns = vector(columns, dtype)
     gauss_around = make_gauss_around(dtype, cfg)
@@ -220,7 +214,7 @@ def make_splat_events_adjoint(
         window, chunk = wp.tid()
         begin = window_ptr[window]
         end = window_ptr[window + 1]
-        length = (end - begin + chunks_out.shape[1] - 1) // chunks_out.shape[1]
+        length = wp.max((end - begin + chunks_out.shape[1] - 1) // chunks_out.shape[1], CHUNK)
         height = adj_image.shape[1]
         width = adj_image.shape[2]
         # values, not look-ups: the addresses would be kept in more registers
@@ -274,7 +268,7 @@ def splat_events_adjoint(
         clear(adj_weight_out)
         clear(adj_motion_out)
         return
-    columns = min(2 * reach_of(x.dtype, cfg) + 1, adj_image.shape[2])
+    columns = min(2 * cfg.reach + 1, adj_image.shape[2])
     launch(
         make_splat_events_adjoint(x.dtype, cfg, motion.shape[1], columns, on_cpu=x.device.is_cpu),
         chunks_out.shape[:2],

@@ -9,7 +9,7 @@ from . import cases
 from .helpers import assert_adjoint, assert_close, assert_differences, filled
 
 every_render = pytest.mark.parametrize("parameters", [6, 8])
-every_profile = pytest.mark.parametrize("sigma", [0.0, 0.1, 0.25, 0.9])
+every_profile = pytest.mark.parametrize("sigma", [0.0, 0.05, 0.25, 0.9])
 
 
 @every_render

@@ -9,6 +9,7 @@ from hypothesis import strategies as st
 
 import evqr_kernels
 from evqr_kernels import SplatConfig
+from evqr_kernels.launch import chunks_of
 
 from . import cases
 from .helpers import assert_adjoint, assert_close, assert_differences, filled
@@ -239,11 +240,45 @@ def test_adjoint_in_images_without_a_pixel(shape, placed, dtype, rng):
         assert not np.any(found)
 
 
-def test_adjoint_of_a_splat_far_wider_than_its_gaussian(placed, spec, dtype, rng):
-    call = cases.splat_events_adjoint(rng, dtype)
-    call.tail = (SplatConfig(epsilon_px=0.4, radius_px=6.0),)
+@pytest.mark.parametrize("op", [cases.splat_events, cases.splat_events_adjoint])
+@pytest.mark.parametrize("epsilon_px", [0.3, 0.8])
+@pytest.mark.parametrize("deviations", [1.0, 8.0])
+def test_splats_cut_as_early_and_as_late_as_can_be(op, epsilon_px, deviations, placed, spec, dtype, rng):
+    call = op(rng, dtype)
+    call.tail = (SplatConfig(epsilon_px=epsilon_px, radius_px=deviations * epsilon_px),)
     for found, expected in zip(call.run(placed), call.run(spec), strict=True):
         assert_close(found, expected)
+
+
+@pytest.mark.parametrize("most", [1, 4, 4000])
+def test_adjoint_of_windows_of_a_size_is_that_of_each(most, placed, dtype, rng):
+    """Bit for bit: how a window's events are shared out among threads does not depend on the others."""
+    count, windows = 150, 3
+    call = cases.splat_events_adjoint(rng, dtype)
+    x, y, t, weight = (rng.uniform(0, 9, count * windows).astype(dtype) for _ in range(4))
+    ptr = count * np.arange(windows + 1, dtype=np.int32)
+    rest = [array[:windows] for array in call.inputs[5:]]
+    outputs = [
+        np.zeros((windows, most, 2), dtype),
+        np.zeros(count * windows, dtype),
+        np.zeros((windows, 2), dtype),
+    ]
+    call.inputs, call.outputs = [x, y, t, weight, ptr, *rest], outputs
+    together = call.run(placed)[-1]
+    for b in range(windows):
+        events = slice(ptr[b], ptr[b + 1])
+        call.inputs = [array[events] for array in (x, y, t, weight)] + [
+            ptr[:2],
+            *(a[b : b + 1] for a in rest),
+        ]
+        call.outputs = [np.zeros((1, most, 2), dtype), np.zeros(count, dtype), np.zeros((1, 2), dtype)]
+        np.testing.assert_array_equal(call.run(placed)[-1][0], together[b])
+
+
+def test_scratch_of_the_adjoint_grows_with_the_events_alone():
+    for windows in (1, 7, 10_000):
+        for events in (0, 63, 6400, 640_000):
+            assert windows * chunks_of(events, windows) <= events / 64 + windows
 
 
 def test_binning_counts():
@@ -260,7 +295,9 @@ def test_binning_counts():
     [
         ({"epsilon_px": 0.2}, "epsilon_px must be 0.3 to 8, got 0.2"),
         ({"epsilon_px": float("nan")}, "epsilon_px must be 0.3 to 8, got nan"),
-        ({"epsilon_px": 1.0, "radius_px": 0.5}, "radius_px must be epsilon_px to 32, got 0.5"),
+        ({"epsilon_px": 1.0, "radius_px": 0.5}, "radius_px must be epsilon_px to 8, got 0.5"),
+        ({"epsilon_px": 0.3, "radius_px": 20.0}, "radius_px must be epsilon_px to 2.4, got 20.0"),
+        ({"epsilon_px": 8.0, "radius_px": 33.0}, "radius_px must be epsilon_px to 32, got 33.0"),
     ],
 )
 def test_bad_splat(options, message):
