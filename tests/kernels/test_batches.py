@@ -8,11 +8,15 @@ import pytest
 import evqr_kernels
 
 from . import cases
-from .helpers import assert_close, filled
+from .helpers import TOLERANCE, assert_close, filled
 from .test_align import CENTRE, SCALE, scene, starts
 
-SUMMED = {"sample_moments_adjoint", "lag_operator_adjoint"}
-"""Operations whose outputs add up over the poses or images that look at one and the same."""
+SUMMED = {
+    "sample_moments_adjoint": ((1, 2, 3, 6), ()),
+    "lag_operator_adjoint": ((0, 1, 2, 4), (0,)),
+}
+"""Operations whose outputs add up over the poses or images that look at one and the same: which inputs and
+outputs have a row for each of these."""
 
 ATOMIC = {"bin_events", "splat_events", "deposit_events", "sample_moments_adjoint"}
 """Operations that add up in no certain order on a GPU."""
@@ -41,8 +45,11 @@ SHARED = {
 ALL = [*cases.CALLS, cases.solve_code_banded]
 WINDOWED = [make for make in ALL if make(np.random.default_rng(0), np.float32).op not in SUMMED]
 
+SUMS = [make for make in ALL if make(np.random.default_rng(0), np.float32).op in SUMMED]
+
 every_operation = pytest.mark.parametrize("make", ALL, ids=lambda make: make.__name__)
 every_windowed = pytest.mark.parametrize("make", WINDOWED, ids=lambda make: make.__name__)
+every_sum = pytest.mark.parametrize("make", SUMS, ids=lambda make: make.__name__)
 
 
 def made(make, dtype):
@@ -128,6 +135,48 @@ def test_windows_on_threads(make, placed, dtype):
         assert_same(call.op, placed, result, take(together))
 
 
+def of_rows(call, rows):
+    """Make the call with these of the poses or images that it adds up over, in this order."""
+    inputs, outputs = (
+        [array[rows] if k in taken else array for k, array in enumerate(arrays)]
+        for taken, arrays in zip(SUMMED[call.op], (call.inputs, call.outputs), strict=True)
+    )
+    return cases.Call(call.op, inputs, outputs, call.tail, call.options, call.scratch)
+
+
+def sums_of(call, placed):
+    """Give what a call adds to its output, which may not be empty before."""
+    (result,) = call.run(placed)
+    return result - (call.outputs[-1] if call.op == "sample_moments_adjoint" else 0)
+
+
+def rows_in(call):
+    return len(call.inputs[SUMMED[call.op][0][0]])
+
+
+@every_sum
+def test_sums_are_those_of_their_rows(make, placed, dtype):
+    """Permuted, one by one, and 512 at once."""
+    call = made(make, dtype)
+    count, together = rows_in(call), sums_of(call, placed)
+    assert np.abs(together).max() > 0.1
+    assert_close(sums_of(of_rows(call, np.roll(np.arange(count), 1)[::-1]), placed), together)
+    assert_close(sum(sums_of(of_rows(call, [k]), placed) for k in range(count)), together)
+    many = sums_of(of_rows(call, np.arange(512) % count), placed)
+    shares = [len(range(k, 512, count)) for k in range(count)]
+    each = [share * sums_of(of_rows(call, [k]), placed) for k, share in enumerate(shares)]
+    assert_close(many, sum(each), 8 * TOLERANCE[np.dtype(dtype)])
+
+
+@every_sum
+def test_sums_on_threads(make, placed, dtype):
+    call = made(make, dtype)
+    together = call.run(placed)
+    with ThreadPoolExecutor(3) as pool:
+        for result in pool.map(lambda _: made(make, dtype).run(placed), range(9)):
+            assert_same(call.op, placed, result, together)
+
+
 @pytest.mark.parametrize("order", [[2, 0, 1], [1], [0, 2] * 256], ids=["permuted", "one", "512"])
 def test_any_poses_align_as_in_the_batch(order, placed, dtype):
     image, points, table, terms, factors = scene(dtype, tilt=True)
@@ -150,6 +199,24 @@ def test_any_codes_are_solved_as_in_the_batch(order, placed, dtype, rng):
     part = evqr_kernels.solve_code(rhs[order], stencil[order], damping[order], free, start[order], **where)
     for one, other in zip(whole, part, strict=True):
         np.testing.assert_array_equal(one[order], other)
+
+
+def test_poses_and_codes_on_threads_and_repeated(placed, dtype, rng):
+    image, points, table, terms, factors = scene(dtype, tilt=True)
+    system = cases.system(rng, dtype, 9)
+    where = {"backend": placed.backend.name, "device": placed.device}
+
+    def solve(_):
+        idx = np.zeros(3, np.int32)
+        options = {"centre": CENTRE, "scale": SCALE, "max_iterations": 3, **where}
+        poses = evqr_kernels.align_poses(image, idx, starts(dtype), points, table, terms, factors, **options)
+        return [*poses, *evqr_kernels.solve_code(*system, **where)]
+
+    first = solve(0)
+    with ThreadPoolExecutor(3) as pool:
+        for again in [solve(0), *pool.map(solve, range(6))]:
+            for one, other in zip(again, first, strict=True):
+                np.testing.assert_array_equal(one, other)
 
 
 def huge(*shape):
