@@ -38,6 +38,7 @@ __all__ = [
 ]
 
 _DTYPES = {"float32": wp.float32, "float64": wp.float64, "int32": wp.int32}
+Ranks = tuple[int, ...]
 
 
 def splat_events(
@@ -106,7 +107,8 @@ def _apply(rule: Rule, *arrays: jax.Array) -> jax.Array:
 def _differentiable(rule: Rule, *arrays: jax.Array) -> jax.Array:
     sizes = _shapes(rule, arrays)
     scratch = rule.forward_scratch(sizes)
-    call = _forward(rule, str(_floats(arrays).dtype), len(rule.output(sizes)), _ranks(scratch))
+    ranks = _ranks([*sizes.values()]), len(rule.output(sizes)), _ranks(scratch)
+    call = _forward(rule, str(_floats(arrays).dtype), *ranks)
     return call(arrays, [rule.output(sizes), *scratch])[0]
 
 
@@ -118,7 +120,8 @@ def _adjoints(rule: Rule, arrays: tuple[jax.Array, ...], adj: jax.Array) -> tupl
     sizes = _shapes(rule, arrays)
     outputs = [sizes[name] for name in rule.varied]
     scratch = rule.adjoint_scratch(sizes)
-    call = _adjoint(rule, str(adj.dtype), adj.ndim, _ranks(outputs), _ranks(scratch))
+    ranks = _ranks([*sizes.values()]), adj.ndim, _ranks(outputs), _ranks(scratch)
+    call = _adjoint(rule, str(adj.dtype), *ranks)
     results = call((*arrays, adj), [*outputs, *scratch])
     found: dict[str | None, Any] = dict(zip(rule.varied, results, strict=False))
     found[rule.added] = adj
@@ -166,31 +169,34 @@ class _Call:
 
 
 @functools.cache
-def _forward(rule: Rule, dtype: str, output_rank: int, scratch_ranks: tuple[int, ...]) -> _Call:
+def _forward(rule: Rule, dtype: str, input_ranks: Ranks, output_rank: int, scratch_ranks: Ranks) -> _Call:
     backend = get_backend("warp")
 
     def run(given: Sequence[Any], results: Sequence[Any]) -> None:
         rule.forward(backend, given, results[1:], results[0])
 
-    return _Call(run, _kinds(rule, dtype), [_kind(dtype, r) for r in (output_rank, *scratch_ranks)])
+    return _Call(
+        run, _kinds(rule, dtype, input_ranks), [_kind(dtype, r) for r in (output_rank, *scratch_ranks)]
+    )
 
 
 @functools.cache
 def _adjoint(
-    rule: Rule, dtype: str, adj_rank: int, varied_ranks: tuple[int, ...], scratch_ranks: tuple[int, ...]
+    rule: Rule, dtype: str, input_ranks: Ranks, adj_rank: int, varied_ranks: Ranks, scratch_ranks: Ranks
 ) -> _Call:
     backend, varied = get_backend("warp"), len(varied_ranks)
 
     def run(given: Sequence[Any], results: Sequence[Any]) -> None:
         rule.adjoint(backend, given[:-1], given[-1], results[varied:], results[:varied])
 
-    inputs = [*_kinds(rule, dtype), _kind(dtype, adj_rank)]
+    inputs = [*_kinds(rule, dtype, input_ranks), _kind(dtype, adj_rank)]
     return _Call(run, inputs, [_kind(dtype, r) for r in (*varied_ranks, *scratch_ranks)])
 
 
-def _kinds(rule: Rule, dtype: str) -> list[wp.array]:
+def _kinds(rule: Rule, dtype: str, ranks: Ranks) -> list[wp.array]:
     return [
-        _kind("int32" if name in rule.indices else dtype, len(axes)) for name, axes in rule.inputs.items()
+        _kind("int32" if name in rule.indices else dtype, rank)
+        for name, rank in zip(rule.inputs, ranks, strict=True)
     ]
 
 
@@ -198,7 +204,7 @@ def _kind(dtype: str, rank: int) -> wp.array:
     return wp.array(dtype=_DTYPES[dtype], ndim=rank)
 
 
-def _ranks(shapes: Sequence[Shape]) -> tuple[int, ...]:
+def _ranks(shapes: Sequence[Shape]) -> Ranks:
     return tuple(len(shape) for shape in shapes)
 
 
