@@ -45,7 +45,7 @@ class KernelBackend(Protocol):
         ...
 
     def from_host(self, array: NDArray[Any], device: str) -> Array:
-        """Bring a NumPy array to the device; on the CPU it is the same memory."""
+        """Bring a C-contiguous NumPy array to the device; on the CPU it is the same memory."""
         ...
 
     def to_host(self, array: Array) -> NDArray[Any]:

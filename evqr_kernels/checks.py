@@ -6,7 +6,7 @@ import math
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import DTypeLike, NDArray
 
 Floats = NDArray[np.floating[Any]]
 Ints = NDArray[np.int32]
@@ -14,6 +14,9 @@ Ints = NDArray[np.int32]
 Extent = str | int
 """A size that is given, or a letter that stands for the same size in every array of a call."""
 
+
+DTYPES = (np.dtype(np.float32), np.dtype(np.float64), np.dtype(np.int32))
+"""Of all arrays."""
 
 MOST_ELEMENTS = 2**31 - 1
 """Of an array: indices are 32 bits wide."""
@@ -30,6 +33,18 @@ def check_size(name: str, shape: tuple[int, ...]) -> None:
         raise ValueError(
             f"{name} must have fewer than {MOST_ELEMENTS + 1} elements, got {math.prod(shape)}: cut the batch"
         )
+
+
+def check_contiguous(name: str, contiguous: bool) -> None:
+    """Raise ValueError for an array that is not C-contiguous: it would have to be copied."""
+    if not contiguous:
+        raise ValueError(f"{name} must be contiguous, it is not copied: give np.ascontiguousarray({name})")
+
+
+def check_dtype(name: str, dtype: DTypeLike) -> None:
+    """Raise TypeError for a dtype that no kernel works on."""
+    if np.dtype(dtype) not in DTYPES:
+        raise TypeError(f"{name} must be float32, float64 or int32, got {np.dtype(dtype)}")
 
 
 class ArrayChecks:

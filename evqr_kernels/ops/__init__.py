@@ -1,15 +1,16 @@
 """The checked door: functions on arrays that check, choose a backend, allocate, and compute.
 
 They take NumPy's arrays, and those in the host's memory of any library that speaks DLPack or
-``__array_interface__``, which are read in place; they return NumPy's.  Only an array of NumPy that is not
-C-contiguous is copied.  `evqr_kernels.torch` and `evqr_kernels.jax` work on a GPU's memory as well.
+``__array_interface__``, which are read in place; they return NumPy's.  Nothing is copied unasked: an array
+that is not C-contiguous is refused, and so is an ``out`` that is read-only, as those of JAX are.
+`evqr_kernels.torch` and `evqr_kernels.jax` work on a GPU's memory as well.
 
 All arrays of a call are float32, or all float64; index arrays are int32.  Each function takes ``backend`` (a
 name for `evqr_kernels.backend.get_backend`) and ``device`` ("cpu", "cuda:0", ...; by default the backend's
 first), and raises
 
 TypeError            what is no array or cannot be read in place, or is of the wrong dtype
-ValueError           a wrong shape, range, name or device
+ValueError           a wrong shape, layout, range, name or device
 BackendUnavailable   a backend that cannot be loaded here
 NotImplementedError  an operation that the backend refuses, with its reason
 

@@ -12,6 +12,7 @@ import numpy as np
 from numpy.typing import DTypeLike, NDArray
 
 from evqr_kernels.backend import OPS
+from evqr_kernels.checks import check_contiguous
 from evqr_kernels.config import DEFAULT_KERNELS, KernelSet
 from evqr_kernels.taichi_backend import (
     align,
@@ -99,7 +100,7 @@ class TaichiBackend:
 
     def from_host(self, array: NDArray[Any], device: str) -> Any:
         """Bring a NumPy array to the device; on the CPU it is the same memory."""
-        array = np.ascontiguousarray(array)
+        check_contiguous("array", array.flags.c_contiguous)
         if device == "cpu" or array.size == 0:
             runtime.require(device)
             return array

@@ -13,6 +13,7 @@ import warp as wp
 from numpy.typing import DTypeLike, NDArray
 
 from evqr_kernels.backend import OPS, require_device
+from evqr_kernels.checks import check_contiguous
 from evqr_kernels.config import DEFAULT_KERNELS, KernelSet
 from evqr_kernels.native_output import without_lines
 from evqr_kernels.warp_backend import (
@@ -100,7 +101,7 @@ class WarpBackend:
     def from_host(self, array: NDArray[Any], device: str) -> wp.array:
         """Bring a NumPy array to the device; on the CPU it is the same memory."""
         require_device(self, device)
-        array = np.ascontiguousarray(array)
+        check_contiguous("array", array.flags.c_contiguous)
         if device != "cpu":
             return wp.array(array, dtype=_DTYPES[array.dtype], device=device)
         # half the time that Warp takes to look the array over, some fifty times a window
