@@ -71,7 +71,7 @@ def host_view(name: str, value: Any) -> Any:
 def warp_view(array: Any) -> Array:
     """Give Warp's view of an array, on the device where it is; for the methods of the Warp backend.
 
-    Warp knows no read-only arrays: the view of one, such as any of JAX, can be written to; give it as an input.
+    Warp knows no read-only arrays: give the view of one, as those of JAX are, as an input only.
 
     Parameters
     ----------

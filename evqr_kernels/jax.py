@@ -47,9 +47,10 @@ def splat_events(
     cfg: SplatConfig | None = None,
 ) -> jax.Array:  # fmt: skip
     """Scatter transported events as splats (B, Y, X); differentiable in weight and motion."""
-    lag = jnp.zeros((len(motion), 2), motion.dtype) if lag is None else lag
+    lag = _rows((0.0, 0.0), motion) if lag is None else lag
+    frame = _rows((0.0, 0.0, 1.0), motion) if frame is None else frame
     rule = differentiable.splat_events(shape, cfg or SplatConfig())
-    return _apply(rule, x, y, t, weight, window_ptr, motion, lag, _frame(frame, motion))
+    return _apply(rule, x, y, t, weight, window_ptr, motion, lag, frame)
 
 
 def deposit_events(
@@ -57,8 +58,8 @@ def deposit_events(
     shape: tuple[int, int], frame: jax.Array | None = None,
 ) -> jax.Array:  # fmt: skip
     """Share transported events among four cells each (B, 2, Y, X); differentiable in the weight."""
-    rule = differentiable.deposit_events(shape)
-    return _apply(rule, x, y, t, weight, window_ptr, motion, _frame(frame, motion))
+    frame = _rows((0.0, 0.0, 1.0), motion) if frame is None else frame
+    return _apply(differentiable.deposit_events(shape), x, y, t, weight, window_ptr, motion, frame)
 
 
 def lag_operator(
@@ -85,19 +86,26 @@ def sample_moments(
     active: jax.Array | None = None,
 ) -> jax.Array:  # fmt: skip
     """Moments of images seen through poses (N, C + 1); differentiable in the image."""
-    active = jnp.ones_like(image_idx) if active is None else active
+    if active is None:
+        active = jnp.ones_like(_array("image_idx", image_idx))
     return _apply(differentiable.sample_moments(), image, image_idx, pose, active, points, table)
 
 
-def _frame(frame: jax.Array | None, motion: jax.Array) -> jax.Array:
-    return jnp.tile(jnp.array([0.0, 0.0, 1.0], motion.dtype), (len(motion), 1)) if frame is None else frame
+def _array(name: str, value: Any) -> jax.Array:
+    if not isinstance(value, jax.Array):
+        raise TypeError(f"{name} must be a jax.Array, got {type(value).__name__}")
+    return value
+
+
+def _rows(row: Sequence[float], motion: jax.Array) -> jax.Array:
+    """Repeat a row for each window that there is a motion of."""
+    return jnp.tile(jnp.array(row, _array("motion", motion).dtype), (*motion.shape[:1], 1))
 
 
 def _apply(rule: Rule, *arrays: jax.Array) -> jax.Array:
     """Check arrays against a rule, and apply it."""
     for name, array in zip(rule.inputs, arrays, strict=True):
-        if not isinstance(array, jax.Array):
-            raise TypeError(f"{name} must be a jax.Array, got {type(array).__name__}")
+        _array(name, array)
     dtypes = {name: array.dtype for name, array in zip(rule.inputs, arrays, strict=True)}
     rule.check(_shapes(rule, arrays), dtypes)
     return _differentiable(rule, *arrays)
