@@ -45,7 +45,7 @@ class KernelBackend(Protocol):
         ...
 
     def from_host(self, array: NDArray[Any], device: str) -> Array:
-        """Bring a NumPy array to the device; on the CPU it is the same memory."""
+        """Bring a C-contiguous NumPy array to the device; on the CPU it is the same memory."""
         ...
 
     def to_host(self, array: Array) -> NDArray[Any]:
@@ -341,7 +341,7 @@ _targets = {
 }
 _extras = {"warp": "evqr", "taichi": "evqr[taichi]"}
 _loaded: dict[str, KernelBackend] = {}
-_lock = threading.Lock()
+_lock = threading.RLock()  # what makes a backend may ask for another
 
 
 def register_backend(name: str, target: str) -> None:
@@ -383,7 +383,7 @@ def get_backend(name: str = "auto") -> KernelBackend:
     ValueError
         If the name is not registered.
     BackendUnavailable
-        If the backend cannot be imported here.
+        If the backend cannot be imported here, or its target names nothing to call.
     """
     if name == "auto":
         name = AUTO
@@ -400,7 +400,10 @@ def get_backend(name: str = "auto") -> KernelBackend:
 def _load(name: str) -> KernelBackend:
     module, _, attribute = _targets[name].partition(":")
     try:
-        return getattr(importlib.import_module(module), attribute)()
+        make: Callable[[], KernelBackend] | None = getattr(importlib.import_module(module), attribute, None)
+        if not callable(make):
+            raise ImportError(f"{_targets[name]!r} names nothing to call", name=module)
+        return make()
     except ImportError as error:
         if error.name == module:
             remedy = "this version does not contain it"

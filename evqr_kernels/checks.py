@@ -6,7 +6,7 @@ import math
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import DTypeLike, NDArray
 
 Floats = NDArray[np.floating[Any]]
 Ints = NDArray[np.int32]
@@ -14,6 +14,9 @@ Ints = NDArray[np.int32]
 Extent = str | int
 """A size that is given, or a letter that stands for the same size in every array of a call."""
 
+
+DTYPES = (np.dtype(np.float32), np.dtype(np.float64), np.dtype(np.int32))
+"""Of all arrays."""
 
 MOST_ELEMENTS = 2**31 - 1
 """Of an array: indices are 32 bits wide."""
@@ -23,11 +26,25 @@ MOST_EVENTS = 2**30
 
 
 def check_size(name: str, shape: tuple[int, ...]) -> None:
-    """Raise ValueError for an array with more elements than an index can tell apart."""
+    """Raise ValueError for an array with more elements than an index can tell apart, or a size below 0."""
+    if any(size < 0 for size in shape):
+        raise ValueError(f"{name} must have no negative size, got {shape}")
     if math.prod(shape) > MOST_ELEMENTS:
         raise ValueError(
             f"{name} must have fewer than {MOST_ELEMENTS + 1} elements, got {math.prod(shape)}: cut the batch"
         )
+
+
+def check_contiguous(name: str, contiguous: bool) -> None:
+    """Raise ValueError for an array that is not C-contiguous: it would have to be copied."""
+    if not contiguous:
+        raise ValueError(f"{name} must be contiguous, it is not copied: give np.ascontiguousarray({name})")
+
+
+def check_dtype(name: str, dtype: DTypeLike) -> None:
+    """Raise TypeError for a dtype that no kernel works on."""
+    if np.dtype(dtype) not in DTYPES:
+        raise TypeError(f"{name} must be float32, float64 or int32, got {np.dtype(dtype)}")
 
 
 class ArrayChecks:
@@ -64,18 +81,29 @@ class ArrayChecks:
             raise TypeError(f"{name} must be int32, got {array.dtype}")
         self._shape(name, array, shape)
 
-    def window_ptr(self, array: Any) -> None:
-        """Raise unless ``array`` cuts E events into B windows; E must be bound."""
-        self._numpy("window_ptr", array)
-        if array.ndim == 1 and len(array) == 0:
-            raise ValueError("window_ptr must have shape (B + 1,), got (0,)")
-        self.ints("window_ptr", array, "B + 1")
-        self.sizes["B"] = len(array) - 1
+    def windows(self, window_ptr: Any) -> None:
+        """Raise unless ``window_ptr`` can cut E events into B windows; E must be bound."""
+        self.ints("window_ptr", window_ptr, "B + 1")
+        self.sizes["B"] = len(window_ptr) - 1
+        if self.sizes["B"] < (1 if self.sizes["E"] else 0):
+            raise ValueError(
+                f"window_ptr must have shape (B + 1,), got {window_ptr.shape} for {self.sizes['E']} events"
+            )
+
+    def window_values(self, array: Ints) -> None:
+        """Raise unless ``array``, of a shape that fits, cuts E events into B windows."""
         if array[0] != 0 or array[-1] != self.sizes["E"]:
             raise ValueError(f"window_ptr must go from 0 to {self.sizes['E']}, got {array[0]} to {array[-1]}")
         if (np.diff(array) < 0).any():
             first = int(np.argmax(np.diff(array) < 0)) + 1
             raise ValueError(f"window_ptr must not decrease, got {array[first]} after {array[first - 1]}")
+
+    def choice(self, name: str, array: Ints, count: int) -> None:
+        """Raise if ``array`` has indices, of none of ``count`` things."""
+        if len(array) and not count:
+            raise ValueError(
+                f"{name} must have shape (0,) where there is nothing to choose from, got {array.shape}"
+            )
 
     def index(self, name: str, array: Ints, count: int) -> None:
         """Raise unless every entry is the index of one of ``count`` things."""

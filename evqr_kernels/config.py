@@ -52,15 +52,15 @@ class SplatConfig:
 
 @dataclass(frozen=True, kw_only=True)
 class KernelSet:
-    """What kernels to load ahead of their first use; those not named here have no variants.
+    """What kernels to load ahead of their first use, beside those that reading a code always launches.
 
     Attributes
     ----------
-    splats        : the splats that will be asked for
-    table_columns : functions in the tables of `sample_moments`
+    splats        : those that `splat_events` and its adjoint will be asked for; reading a code needs none
+    table_columns : functions in the tables of `align_poses`
     """
 
-    splats: tuple[SplatConfig, ...] = (SplatConfig(),)
+    splats: tuple[SplatConfig, ...] = ()
     table_columns: int = 20
 
 

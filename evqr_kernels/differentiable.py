@@ -16,6 +16,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import DTypeLike
 
+from evqr_kernels import arguments
 from evqr_kernels.backend import Array
 from evqr_kernels.checks import ArrayChecks, check_size
 from evqr_kernels.config import SplatConfig
@@ -25,7 +26,6 @@ Shape = tuple[int, ...]
 Shapes = Mapping[str, Shape]
 Arrays = Sequence[Array]
 Backend = Any  # a KernelBackend, whose arguments a type checker cannot count when they are unpacked
-Axes = tuple[str | int | tuple[int, ...], ...]
 
 
 def _nothing(sizes: Shapes) -> list[Shape]:
@@ -39,7 +39,8 @@ class Rule:
     Attributes
     ----------
     op               name of the operation
-    inputs           axes of each input; a tuple in the place of an axis is a choice of sizes
+    inputs           names of the inputs, in order
+    require          (checks, inputs): raises unless their dtypes and shapes, and the settings, fit
     indices          inputs that are int32
     varied           inputs that it has an adjoint in
     added            an input that is just added: its adjoint is that of the output
@@ -51,7 +52,8 @@ class Rule:
     """
 
     op: str
-    inputs: dict[str, Axes]
+    inputs: tuple[str, ...]
+    require: Callable[..., None]
     indices: tuple[str, ...] = ()
     varied: tuple[str, ...]
     added: str | None = None
@@ -64,23 +66,15 @@ class Rule:
     def check(self, shapes: Shapes, dtypes: Mapping[str, DTypeLike]) -> np.dtype[Any]:
         """Raise TypeError or ValueError unless the inputs fit; give their dtype.  Looks at no values."""
         checks = ArrayChecks()
-        for name, axes in self.inputs.items():
-            # of the same shape and dtype, in four bytes
-            like = np.broadcast_to(np.zeros((), dtypes[name]), shapes[name])
-            choice = axes[-1]
-            if isinstance(choice, tuple):
-                checks.parameters(name, like, choice)
-            else:
-                extents = [axis for axis in axes if not isinstance(axis, tuple)]
-                (checks.ints if name in self.indices else checks.floats)(name, like, *extents)
-            if axes == ("B + 1",):
-                checks.sizes["B"] = len(like) - 1
+        # of the same shapes and dtypes, in four bytes each
+        likes = (np.broadcast_to(np.zeros((), dtypes[name]), shapes[name]) for name in self.inputs)
+        self.require(checks, *likes)
         for shape in (self.output(shapes), *self.forward_scratch(shapes), *self.adjoint_scratch(shapes)):
             check_size(self.op, shape)
         return checks.dtype or np.dtype(np.float32)
 
 
-EVENTS: dict[str, Axes] = {"x": ("E",), "y": ("E",), "t": ("E",), "weight": ("E",), "window_ptr": ("B + 1",)}
+EVENTS = ("x", "y", "t", "weight", "window_ptr")
 
 
 def _chunks(items: int) -> int:
@@ -97,7 +91,8 @@ def splat_events(shape: tuple[int, int], cfg: SplatConfig) -> Rule:
 
     return Rule(
         op="splat_events",
-        inputs={**EVENTS, "motion": ("B", (2, 6)), "lag": ("B", 2), "frame": ("B", 3)},
+        inputs=(*EVENTS, "motion", "lag", "frame"),
+        require=arguments.splat_events,
         indices=("window_ptr",),
         varied=("weight", "motion"),
         output=lambda sizes: (sizes["motion"][0], *shape),
@@ -121,7 +116,8 @@ def deposit_events(shape: tuple[int, int]) -> Rule:
 
     return Rule(
         op="deposit_events",
-        inputs={**EVENTS, "motion": ("B", 2), "frame": ("B", 3)},
+        inputs=(*EVENTS, "motion", "frame"),
+        require=arguments.deposit_events,
         indices=("window_ptr",),
         varied=("weight",),
         output=lambda sizes: (sizes["motion"][0], 2, *shape),
@@ -144,13 +140,8 @@ def lag_operator() -> Rule:
 
     return Rule(
         op="lag_operator",
-        inputs={
-            "deposit": ("B", 2, "Y", "X"),
-            "deposit_idx": ("N",),
-            "direction": ("N", 2),
-            "lag": ("N", 2),
-            "taps": (2, "K"),
-        },
+        inputs=("deposit", "deposit_idx", "direction", "lag", "taps"),
+        require=arguments.lag_operator,
         indices=("deposit_idx",),
         varied=("deposit",),
         output=shape,
@@ -168,7 +159,8 @@ def render_code(shape: tuple[int, int], sigma: float) -> Rule:
     """Give the rule of `evqr_kernels.render_code`: in grid and map."""
     return Rule(
         op="render_code",
-        inputs={"grid": ("B", "G", "H"), "to_grid": ("B", (6, 8)), "outside": ("B",)},
+        inputs=("grid", "to_grid", "outside"),
+        require=functools.partial(arguments.render_code, sigma=sigma),
         varied=("grid", "to_grid"),
         output=lambda sizes: (sizes["grid"][0], *shape),
         adjoint_scratch=lambda sizes: [(sizes["grid"][0], shape[0], sizes["to_grid"][1])],
@@ -184,7 +176,8 @@ def brightness_residual() -> Rule:
     """Give the rule of `evqr_kernels.brightness_residual`: in all its inputs."""
     return Rule(
         op="brightness_residual",
-        inputs={"luminance": ("B", "Y", "X"), "events_image": ("B", "Y", "X"), "motion": ("B", 2)},
+        inputs=("luminance", "events_image", "motion"),
+        require=arguments.brightness_residual,
         varied=("luminance", "motion"),
         added="events_image",
         output=lambda sizes: sizes["luminance"],
@@ -200,6 +193,10 @@ def brightness_residual() -> Rule:
 def sample_moments() -> Rule:
     """Give the rule of `evqr_kernels.sample_moments`: in the image."""
 
+    def forward(backend: Backend, given: Arrays, scratch: Arrays, out: Array) -> None:
+        backend.clear(out)  # what is not active is left as it is
+        backend.sample_moments(*given, *scratch, out)
+
     def adjoint(backend: Backend, given: Arrays, adj: Array, scratch: Arrays, adjoints: Arrays) -> None:
         backend.clear(adjoints[0])
         backend.sample_moments_adjoint(*given, adj, *adjoints)
@@ -209,18 +206,12 @@ def sample_moments() -> Rule:
 
     return Rule(
         op="sample_moments",
-        inputs={
-            "image": ("B", "Y", "X"),
-            "image_idx": ("N",),
-            "pose": ("N", 9),
-            "active": ("N",),
-            "points": ("S", 2),
-            "table": ("S", "C"),
-        },
+        inputs=("image", "image_idx", "pose", "active", "points", "table"),
+        require=arguments.sample_moments,
         indices=("image_idx", "active"),
         varied=("image",),
         output=shape,
         forward_scratch=lambda sizes: [(sizes["pose"][0], _chunks(sizes["points"][0]), shape(sizes)[1])],
-        forward=lambda backend, given, scratch, out: backend.sample_moments(*given, *scratch, out),
+        forward=forward,
         adjoint=adjoint,
     )

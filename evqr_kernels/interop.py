@@ -1,19 +1,22 @@
-"""Arrays of other libraries, without a copy: whatever speaks DLPack or one of the array interfaces.
+"""Arrays without a copy: NumPy's, and of any library that speaks DLPack or one of the array interfaces.
 
-The checked functions take such arrays wherever they take NumPy's, as long as they lie in the host's memory
-(`any_arrays`).  For a backend's own methods `warp_view` gives Warp's view of an array, on a GPU too.
+The checked functions take them wherever they lie in the host's memory (`any_arrays`), and refuse what would
+have to be copied, whoever made it.  For a backend's own methods `warp_view` gives Warp's view of an array,
+on a GPU too.
 """
 
 from __future__ import annotations
 
+import contextlib
 import functools
 import inspect
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from typing import Any, ParamSpec, TypeVar
 
 import numpy as np
 
 from evqr_kernels.backend import Array, get_backend
+from evqr_kernels.checks import check_contiguous, check_dtype
 
 P = ParamSpec("P")
 R = TypeVar("R")
@@ -22,7 +25,7 @@ PROTOCOLS = ("__dlpack__", "__cuda_array_interface__", "__array_interface__")
 
 
 def any_arrays(function: Callable[P, R]) -> Callable[P, R]:
-    """Let a checked function take arrays of other libraries; it sees NumPy's views of them."""
+    """Let a checked function take arrays of any library; it sees NumPy's views of them."""
     names = list(inspect.signature(function).parameters)
     call: Callable[..., R] = function
 
@@ -37,7 +40,10 @@ def any_arrays(function: Callable[P, R]) -> Callable[P, R]:
 
 
 def host_view(name: str, value: Any) -> Any:
-    """Give NumPy's view of an array of another library; anything else as it is.
+    """Give NumPy's view of an array of any library; what is no array as it is.
+
+    The view is read-only where the library says so: one of JAX is, and with NumPy before 2.1 any that came
+    through DLPack.
 
     Raises
     ------
@@ -47,23 +53,25 @@ def host_view(name: str, value: Any) -> Any:
     ValueError
         If it is not contiguous: it would have to be copied.
     """
-    if isinstance(value, np.ndarray | np.generic) or not _speaks(value, *PROTOCOLS):
+    if isinstance(value, np.generic) or not _speaks(value, *PROTOCOLS):
         return value
     if _speaks(value, "__cuda_array_interface__"):
         raise TypeError(
             f"{name} is not in the host's memory: give evqr_kernels.interop.warp_view to a backend"
         )
-    try:
-        view = np.from_dlpack(value) if _speaks(value, "__dlpack__") else np.asarray(value)
-    except (BufferError, RuntimeError, TypeError, ValueError) as error:
-        raise TypeError(f"{name} cannot be read without a copy: {error}") from error
-    if not view.flags.c_contiguous:
-        raise ValueError(f"{name} must be contiguous: an array of another library is not copied")
+    if isinstance(value, np.ndarray):
+        view = value
+    else:
+        with _as_type_error(name):
+            view = np.from_dlpack(value) if _speaks(value, "__dlpack__") else np.asarray(value)
+    check_contiguous(name, view.flags.c_contiguous)
     return view
 
 
 def warp_view(array: Any) -> Array:
     """Give Warp's view of an array, on the device where it is; for the methods of the Warp backend.
+
+    Warp knows no read-only arrays: give the view of one, as those of JAX are, as an input only.
 
     Parameters
     ----------
@@ -72,7 +80,7 @@ def warp_view(array: Any) -> Array:
     Raises
     ------
     TypeError
-        If it speaks none of them.
+        If it speaks none of them, is of another dtype or does not give its memory away.
     ValueError
         If it is not contiguous: it would have to be copied.
     """
@@ -84,13 +92,22 @@ def warp_view(array: Any) -> Array:
         host = host_view("array", array)
         if not isinstance(host, np.ndarray):
             raise TypeError(f"array must speak {' or '.join(PROTOCOLS)}, got {type(array).__name__}")
-        if not host.flags.c_contiguous:
-            raise ValueError("array must be contiguous: it is not copied")
+        check_dtype("array", host.dtype)
         return backend.from_host(host, "cpu")
-    view: Any = wp.from_dlpack(array) if _speaks(array, "__dlpack__") else wp.array(array, copy=False)
-    if not view.is_contiguous:
-        raise ValueError("array must be contiguous: it is not copied")
+    with _as_type_error("array"):
+        view: Any = wp.from_dlpack(array) if _speaks(array, "__dlpack__") else wp.array(array, copy=False)
+    check_dtype("array", wp.dtype_to_numpy(view.dtype))
+    check_contiguous("array", view.is_contiguous)
     return view
+
+
+@contextlib.contextmanager
+def _as_type_error(name: str) -> Iterator[None]:
+    """Raise TypeError for whatever a library says why it does not give an array's memory away."""
+    try:
+        yield
+    except (BufferError, RuntimeError, TypeError, ValueError) as error:
+        raise TypeError(f"{name} cannot be read without a copy: {error}") from error
 
 
 def _speaks(value: Any, *protocols: str) -> bool:

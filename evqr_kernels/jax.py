@@ -45,6 +45,7 @@ __all__ = [
 ]
 
 _DTYPES = {"float32": wp.float32, "float64": wp.float64, "int32": wp.int32}
+Ranks = tuple[int, ...]
 
 
 def splat_events(
@@ -71,9 +72,10 @@ def splat_events(
     -----
     The backward pass is `evqr_kernels.splat_events_adjoint`.
     """
-    lag = jnp.zeros((len(motion), 2), motion.dtype) if lag is None else lag
+    lag = _rows((0.0, 0.0), motion) if lag is None else lag
+    frame = _rows((0.0, 0.0, 1.0), motion) if frame is None else frame
     rule = differentiable.splat_events(shape, cfg or SplatConfig())
-    return _apply(rule, x, y, t, weight, window_ptr, motion, lag, _frame(frame, motion))
+    return _apply(rule, x, y, t, weight, window_ptr, motion, lag, frame)
 
 
 def deposit_events(
@@ -98,8 +100,8 @@ def deposit_events(
     -----
     The backward pass is `evqr_kernels.deposit_events_adjoint`.
     """
-    rule = differentiable.deposit_events(shape)
-    return _apply(rule, x, y, t, weight, window_ptr, motion, _frame(frame, motion))
+    frame = _rows((0.0, 0.0, 1.0), motion) if frame is None else frame
+    return _apply(differentiable.deposit_events(shape), x, y, t, weight, window_ptr, motion, frame)
 
 
 def lag_operator(
@@ -189,19 +191,26 @@ def sample_moments(
     -----
     The backward pass is `evqr_kernels.sample_moments_adjoint`.
     """
-    active = jnp.ones_like(image_idx) if active is None else active
+    if active is None:
+        active = jnp.ones_like(_array("image_idx", image_idx))
     return _apply(differentiable.sample_moments(), image, image_idx, pose, active, points, table)
 
 
-def _frame(frame: jax.Array | None, motion: jax.Array) -> jax.Array:
-    return jnp.tile(jnp.array([0.0, 0.0, 1.0], motion.dtype), (len(motion), 1)) if frame is None else frame
+def _array(name: str, value: Any) -> jax.Array:
+    if not isinstance(value, jax.Array):
+        raise TypeError(f"{name} must be a jax.Array, got {type(value).__name__}")
+    return value
+
+
+def _rows(row: Sequence[float], motion: jax.Array) -> jax.Array:
+    """Repeat a row for each window that there is a motion of."""
+    return jnp.tile(jnp.array(row, _array("motion", motion).dtype), (*motion.shape[:1], 1))
 
 
 def _apply(rule: Rule, *arrays: jax.Array) -> jax.Array:
     """Check arrays against a rule, and apply it."""
     for name, array in zip(rule.inputs, arrays, strict=True):
-        if not isinstance(array, jax.Array):
-            raise TypeError(f"{name} must be a jax.Array, got {type(array).__name__}")
+        _array(name, array)
     dtypes = {name: array.dtype for name, array in zip(rule.inputs, arrays, strict=True)}
     rule.check(_shapes(rule, arrays), dtypes)
     return _differentiable(rule, *arrays)
@@ -211,7 +220,8 @@ def _apply(rule: Rule, *arrays: jax.Array) -> jax.Array:
 def _differentiable(rule: Rule, *arrays: jax.Array) -> jax.Array:
     sizes = _shapes(rule, arrays)
     scratch = rule.forward_scratch(sizes)
-    call = _forward(rule, str(_floats(arrays).dtype), len(rule.output(sizes)), _ranks(scratch))
+    ranks = _ranks([*sizes.values()]), len(rule.output(sizes)), _ranks(scratch)
+    call = _forward(rule, str(_floats(arrays).dtype), *ranks)
     return call(arrays, [rule.output(sizes), *scratch])[0]
 
 
@@ -223,7 +233,8 @@ def _adjoints(rule: Rule, arrays: tuple[jax.Array, ...], adj: jax.Array) -> tupl
     sizes = _shapes(rule, arrays)
     outputs = [sizes[name] for name in rule.varied]
     scratch = rule.adjoint_scratch(sizes)
-    call = _adjoint(rule, str(adj.dtype), adj.ndim, _ranks(outputs), _ranks(scratch))
+    ranks = _ranks([*sizes.values()]), adj.ndim, _ranks(outputs), _ranks(scratch)
+    call = _adjoint(rule, str(adj.dtype), *ranks)
     results = call((*arrays, adj), [*outputs, *scratch])
     found: dict[str | None, Any] = dict(zip(rule.varied, results, strict=False))
     found[rule.added] = adj
@@ -271,31 +282,34 @@ class _Call:
 
 
 @functools.cache
-def _forward(rule: Rule, dtype: str, output_rank: int, scratch_ranks: tuple[int, ...]) -> _Call:
+def _forward(rule: Rule, dtype: str, input_ranks: Ranks, output_rank: int, scratch_ranks: Ranks) -> _Call:
     backend = get_backend("warp")
 
     def run(given: Sequence[Any], results: Sequence[Any]) -> None:
         rule.forward(backend, given, results[1:], results[0])
 
-    return _Call(run, _kinds(rule, dtype), [_kind(dtype, r) for r in (output_rank, *scratch_ranks)])
+    return _Call(
+        run, _kinds(rule, dtype, input_ranks), [_kind(dtype, r) for r in (output_rank, *scratch_ranks)]
+    )
 
 
 @functools.cache
 def _adjoint(
-    rule: Rule, dtype: str, adj_rank: int, varied_ranks: tuple[int, ...], scratch_ranks: tuple[int, ...]
+    rule: Rule, dtype: str, input_ranks: Ranks, adj_rank: int, varied_ranks: Ranks, scratch_ranks: Ranks
 ) -> _Call:
     backend, varied = get_backend("warp"), len(varied_ranks)
 
     def run(given: Sequence[Any], results: Sequence[Any]) -> None:
         rule.adjoint(backend, given[:-1], given[-1], results[varied:], results[:varied])
 
-    inputs = [*_kinds(rule, dtype), _kind(dtype, adj_rank)]
+    inputs = [*_kinds(rule, dtype, input_ranks), _kind(dtype, adj_rank)]
     return _Call(run, inputs, [_kind(dtype, r) for r in (*varied_ranks, *scratch_ranks)])
 
 
-def _kinds(rule: Rule, dtype: str) -> list[wp.array]:
+def _kinds(rule: Rule, dtype: str, ranks: Ranks) -> list[wp.array]:
     return [
-        _kind("int32" if name in rule.indices else dtype, len(axes)) for name, axes in rule.inputs.items()
+        _kind("int32" if name in rule.indices else dtype, rank)
+        for name, rank in zip(rule.inputs, ranks, strict=True)
     ]
 
 
@@ -303,7 +317,7 @@ def _kind(dtype: str, rank: int) -> wp.array:
     return wp.array(dtype=_DTYPES[dtype], ndim=rank)
 
 
-def _ranks(shapes: Sequence[Shape]) -> tuple[int, ...]:
+def _ranks(shapes: Sequence[Shape]) -> Ranks:
     return tuple(len(shape) for shape in shapes)
 
 

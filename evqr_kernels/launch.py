@@ -48,6 +48,8 @@ class Launch:
     def result(self, out: NDArray[Any] | None, *shape: int, dtype: DTypeLike | None = None) -> Any:
         """Give the device array of a result: the contents of ``out``, which gets the result, or zeros."""
         check_size("result", shape)
+        if out is not None and not out.flags.writeable:
+            raise ValueError("out must be writable, it gets the result: give a copy of it, or no out")
         host = np.zeros(shape, dtype or self.dtype) if out is None else out
         on_device = self.backend.from_host(host, self.device)
         self._results.append((host, on_device))

@@ -72,10 +72,10 @@ def splat_events(
     -----
     The backward pass is `evqr_kernels.splat_events_adjoint`.
     """
-    batch = len(motion)
-    lag = motion.new_zeros((batch, 2)) if lag is None else lag
+    lag = _rows((0.0, 0.0), motion) if lag is None else lag
+    frame = _rows((0.0, 0.0, 1.0), motion) if frame is None else frame
     rule = differentiable.splat_events(shape, cfg or SplatConfig())
-    return _apply(rule, x, y, t, weight, window_ptr, motion, lag, _frame(frame, motion))
+    return _apply(rule, x, y, t, weight, window_ptr, motion, lag, frame)
 
 
 def deposit_events(
@@ -100,8 +100,8 @@ def deposit_events(
     -----
     The backward pass is `evqr_kernels.deposit_events_adjoint`.
     """
-    rule = differentiable.deposit_events(shape)
-    return _apply(rule, x, y, t, weight, window_ptr, motion, _frame(frame, motion))
+    frame = _rows((0.0, 0.0, 1.0), motion) if frame is None else frame
+    return _apply(differentiable.deposit_events(shape), x, y, t, weight, window_ptr, motion, frame)
 
 
 def lag_operator(
@@ -191,21 +191,28 @@ def sample_moments(
     -----
     The backward pass is `evqr_kernels.sample_moments_adjoint`.
     """
-    active = torch.ones_like(image_idx) if active is None else active
+    if active is None:
+        active = torch.ones_like(_tensor("image_idx", image_idx))
     return _apply(differentiable.sample_moments(), image, image_idx, pose, active, points, table)
 
 
-def _frame(frame: Tensor | None, motion: Tensor) -> Tensor:
-    return motion.new_tensor([0.0, 0.0, 1.0]).repeat(len(motion), 1) if frame is None else frame
+def _tensor(name: str, value: Any) -> Tensor:
+    if not isinstance(value, torch.Tensor):
+        raise TypeError(f"{name} must be a torch.Tensor, got {type(value).__name__}")
+    return value
+
+
+def _rows(row: Sequence[float], motion: Tensor) -> Tensor:
+    """Repeat a row for each window that there is a motion of."""
+    return _tensor("motion", motion).new_tensor(row).repeat(*motion.shape[:1], 1)
 
 
 def _apply(rule: Rule, *tensors: Tensor) -> Tensor:
     """Check tensors against a rule, and apply it."""
     named = dict(zip(rule.inputs, tensors, strict=True))
-    device = tensors[0].device
+    device = _tensor(rule.inputs[0], tensors[0]).device
     for name, tensor in named.items():
-        if not isinstance(tensor, torch.Tensor):
-            raise TypeError(f"{name} must be a torch.Tensor, got {type(tensor).__name__}")
+        _tensor(name, tensor)
         if tensor.dtype not in _DTYPES:
             raise TypeError(f"{name} must be float32, float64 or int32, got {tensor.dtype}")
         if tensor.device != device:
@@ -236,11 +243,11 @@ class _Function(torch.autograd.Function):
     @torch.autograd.function.once_differentiable
     def backward(ctx: Any, adj: Tensor) -> tuple[Tensor | None, ...]:  # pyright: ignore[reportIncompatibleMethodOverride]
         rule, tensors = ctx.rule, ctx.saved_tensors
-        named = dict(zip(rule.inputs, tensors, strict=True))
         # of a sum, say, it is one number seen many times over
         adj = adj.contiguous()
-        adjoints = [torch.empty_like(named[name]) for name in rule.varied]
-        scratch = [_empty(shape, tensors) for shape in rule.adjoint_scratch(_shapes(rule, tensors))]
+        sizes = _shapes(rule, tensors)
+        adjoints = [_empty(sizes[name], tensors) for name in rule.varied]
+        scratch = [_empty(shape, tensors) for shape in rule.adjoint_scratch(sizes)]
         with _stream(adj.device):
             rule.adjoint(get_backend("warp"), _views(tensors), _view(adj), _views(scratch), _views(adjoints))
         result: dict[str | None, Tensor] = dict(zip(rule.varied, adjoints, strict=True))

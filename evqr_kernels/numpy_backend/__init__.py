@@ -12,6 +12,7 @@ import numpy as np
 from numpy.typing import DTypeLike, NDArray
 
 from evqr_kernels.backend import OPS
+from evqr_kernels.checks import check_contiguous
 from evqr_kernels.config import DEFAULT_KERNELS, KernelSet
 from evqr_kernels.numpy_backend import (
     align,
@@ -79,7 +80,8 @@ class NumpyBackend:
 
     def from_host(self, array: NDArray[Any], device: str) -> NDArray[Any]:
         """Give the same memory."""
-        return np.ascontiguousarray(array)
+        check_contiguous("array", array.flags.c_contiguous)
+        return array
 
     def to_host(self, array: NDArray[Any]) -> NDArray[Any]:
         """Give the same memory."""

@@ -1,9 +1,10 @@
 """The checked door: functions on arrays that check, choose a backend, allocate, and compute.
 
 They take NumPy's arrays, and those in the host's memory of any library that speaks DLPack or
-``__array_interface__``, which are read in place; they return NumPy's.  Only an array of NumPy that is not
-C-contiguous is copied.  `evqr_kernels.torch` and `evqr_kernels.jax` work on a GPU's memory as well.  Who owns
-device buffers calls the methods of the backend, which have the same names and take the same arrays.
+``__array_interface__``, which are read in place; they return NumPy's.  Nothing is copied unasked: an array
+that is not C-contiguous is refused, and so is an ``out`` that is read-only, as those of JAX are.
+`evqr_kernels.torch` and `evqr_kernels.jax` work on a GPU's memory as well.  Who owns device buffers calls the
+methods of the backend, which have the same names and take the same arrays.
 
 What holds for every operation is said here once; their own documentation says what each adds.
 
@@ -19,9 +20,10 @@ differentiated, [1] none, [any] what the caller likes, [of name] that of another
 **Raises.**
 
 TypeError            what is no array or cannot be read in place, or is of the wrong dtype
-ValueError           a wrong shape or name, a setting or index out of range (NaN is out of every range that
-                     begins somewhere), a device that the backend does not have, more than 2^30 events, or
-                     more than 2^31 - 1 elements of an array, scratch included
+ValueError           a wrong shape, layout or name, a setting or index out of range (NaN is out of every range
+                     that begins somewhere), a device that the backend does not have, an ``out`` that is
+                     read-only, more than 2^30 events, or more than 2^31 - 1 elements of an array, scratch
+                     included
 BackendUnavailable   a backend that cannot be loaded here
 NotImplementedError  an operation, dtype or device that the backend refuses, with its reason
 

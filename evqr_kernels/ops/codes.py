@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
+from evqr_kernels import arguments
 from evqr_kernels.checks import ArrayChecks, Floats, Ints
 from evqr_kernels.interop import any_arrays
 from evqr_kernels.launch import CHUNK, Launch
@@ -386,12 +387,7 @@ def _check_moments(
     checks: ArrayChecks, image: Floats, image_idx: Ints, pose: Floats, points: Floats, table: Floats,
     active: Ints | None,
 ) -> Ints:  # fmt: skip
-    checks.floats("image", image, "B", "Y", "X")
-    checks.floats("pose", pose, "N", 9)
-    checks.ints("image_idx", image_idx, "N")
-    checks.floats("points", points, "S", 2)
-    checks.floats("table", table, "S", "C")
-    active = np.ones(len(pose), np.int32) if active is None else active
-    checks.ints("active", active, "N")
+    """Check what reads images through poses; give ``active``, or what stands for it."""
+    arguments.sample_moments(checks, image, image_idx, pose, active, points, table)
     checks.index("image_idx", image_idx, len(image))
-    return active
+    return np.ones(len(pose), np.int32) if active is None else active

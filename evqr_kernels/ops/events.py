@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
+from evqr_kernels import arguments
 from evqr_kernels.checks import ArrayChecks, Floats, Ints
 from evqr_kernels.config import SplatConfig
 from evqr_kernels.interop import any_arrays
@@ -58,7 +59,8 @@ def bin_events(
     Determinism: atomics; to rounding on GPUs, bit for bit on CPUs.
     """
     checks = ArrayChecks()
-    _check_events(checks, x=x, y=y, weight=weight, window_ptr=window_ptr)
+    arguments.events(checks, window_ptr, x=x, y=y, weight=weight)
+    checks.window_values(window_ptr)
     checks.at_least("reduction", reduction, 1e-6)
     size = checks.image_shape(out, shape)
     launch = Launch("bin_events", checks, backend, device)
@@ -233,7 +235,8 @@ def deposit_events(
     Determinism: atomics; to rounding on GPUs, bit for bit on CPUs.
     """
     checks = ArrayChecks()
-    frame = _check_transport(checks, x, y, t, weight, window_ptr, motion, frame)
+    arguments.deposit_events(checks, x, y, t, weight, window_ptr, motion, frame)
+    frame = _check_values(checks, window_ptr, motion, frame)
     if out is not None:
         checks.floats("out", out, "B", 2, "Y", "X")
         size = out.shape
@@ -278,7 +281,8 @@ def deposit_events_adjoint(
     Determinism: bit for bit.
     """
     checks = ArrayChecks()
-    frame = _check_transport(checks, x, y, t, weight, window_ptr, motion, frame)
+    arguments.deposit_events(checks, x, y, t, weight, window_ptr, motion, frame)
+    frame = _check_values(checks, window_ptr, motion, frame)
     checks.floats("adj_deposit", adj_deposit, "B", 2, "Y", "X")
     launch = Launch("deposit_events_adjoint", checks, backend, device)
     inputs = launch.put(x, y, t, weight, window_ptr, motion, frame, adj_deposit)
@@ -330,13 +334,10 @@ def lag_operator(
     Determinism: bit for bit.
     """
     checks = ArrayChecks()
-    checks.floats("deposit", deposit, "B", 2, "Y", "X")
-    (batch, _, height, width), size = deposit.shape, _check_lag(checks, deposit_idx, direction, lag, taps)
-    if width < 16 + size:
-        raise ValueError(f"deposit must be at least 16 + K = {16 + size} wide, got {width}")
-    checks.index("deposit_idx", deposit_idx, batch)
+    arguments.lag_operator(checks, deposit, deposit_idx, direction, lag, taps)
+    checks.index("deposit_idx", deposit_idx, len(deposit))
     launch = Launch("lag_operator", checks, backend, device)
-    count = len(deposit_idx)
+    count, (_, _, height, width) = len(deposit_idx), deposit.shape
     rows = launch.scratch(count, 2, height, width)
     launch.run(
         *launch.put(deposit, deposit_idx, direction, lag, taps),
@@ -383,8 +384,11 @@ def lag_operator_adjoint(
     Determinism: bit for bit; images of one deposit are added up in order.
     """
     checks = ArrayChecks()
-    _check_lag(checks, deposit_idx, direction, lag, taps)
+    arguments.lags(checks, deposit_idx, direction, lag, taps)
     checks.floats("adj_image", adj_image, "N", "Y", "X")
+    size = taps.shape[1]
+    if adj_image.shape[2] < size:
+        raise ValueError(f"adj_image must be at least K = {size} wide, got {adj_image.shape[2]}")
     checks.at_least("deposits", deposits, 0)
     checks.index("deposit_idx", deposit_idx, deposits)
     launch = Launch("lag_operator_adjoint", checks, backend, device)
@@ -395,44 +399,21 @@ def lag_operator_adjoint(
     return launch.results()[0]
 
 
-def _check_events(checks: ArrayChecks, *, window_ptr: Ints, **columns: Floats) -> None:
-    for name, column in columns.items():
-        checks.floats(name, column, "E")
-    checks.window_ptr(window_ptr)
-
-
-def _check_transport(
-    checks: ArrayChecks, x: Floats, y: Floats, t: Floats, weight: Floats, window_ptr: Ints, motion: Floats,
-    frame: Floats | None, parameters: tuple[int, ...] = (2,),
-) -> Floats:  # fmt: skip
-    """Check events that are transported into a frame; give the frame, or what stands for it."""
-    _check_events(checks, x=x, y=y, t=t, weight=weight, window_ptr=window_ptr)
-    checks.parameters("motion", motion, parameters)
-    frame = np.tile(np.array([0.0, 0.0, 1.0], motion.dtype), (len(motion), 1)) if frame is None else frame
-    checks.floats("frame", frame, "B", 3)
-    if not (frame[:, 2] > 0).all():
-        raise ValueError(f"frame must have a positive scale, got {frame[:, 2].min()}")
-    return frame
-
-
-def _check_lag(checks: ArrayChecks, deposit_idx: Ints, direction: Floats, lag: Floats, taps: Floats) -> int:
-    """Check what `lag_operator` and its adjoint share; give the number of taps."""
-    checks.ints("deposit_idx", deposit_idx, "N")
-    checks.floats("direction", direction, "N", 2)
-    checks.floats("lag", lag, "N", 2)
-    checks.floats("taps", taps, 2, "K")
-    size = taps.shape[1]
-    if size < 3 or size % 2 == 0:
-        raise ValueError(f"taps must have shape (2, K) with K odd and at least 3, got {taps.shape}")
-    return size
-
-
 def _check_splat(
     checks: ArrayChecks, x: Floats, y: Floats, t: Floats, weight: Floats, window_ptr: Ints, motion: Floats,
     lag: Floats | None, frame: Floats | None,
 ) -> tuple[Floats, Floats]:  # fmt: skip
     """Check what `splat_events` and its adjoint share; give lag and frame, or what stands for them."""
-    frame = _check_transport(checks, x, y, t, weight, window_ptr, motion, frame, parameters=(2, 6))
-    lag = np.zeros((len(motion), 2), motion.dtype) if lag is None else lag
-    checks.floats("lag", lag, "B", 2)
-    return lag, frame
+    arguments.splat_events(checks, x, y, t, weight, window_ptr, motion, lag, frame)
+    frame = _check_values(checks, window_ptr, motion, frame)
+    return (np.zeros((len(motion), 2), motion.dtype) if lag is None else lag), frame
+
+
+def _check_values(checks: ArrayChecks, window_ptr: Ints, motion: Floats, frame: Floats | None) -> Floats:
+    """Check the values of windows and frame; give the frame, or what stands for it."""
+    checks.window_values(window_ptr)
+    if frame is None:
+        return np.tile(np.array([0.0, 0.0, 1.0], motion.dtype), (len(motion), 1))
+    if not (frame[:, 2] > 0).all():
+        raise ValueError(f"frame must have a positive scale, got {frame[:, 2].min()}")
+    return frame

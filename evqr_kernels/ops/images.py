@@ -241,7 +241,7 @@ def mix_images(images: Floats, weight: Floats, *, backend: str = "auto", device:
     images = np.pad(images, ((0, 0), (0, 0), (0, max(0, 16 - width))))
     launch = Launch("mix_images", checks, backend, device)
     launch.run(*launch.put(images, weight), launch.result(None, len(weight), height, images.shape[2]))
-    return launch.results()[0][:, :, :width]
+    return np.ascontiguousarray(launch.results()[0][:, :, :width])
 
 
 @any_arrays
@@ -332,7 +332,7 @@ def correlate_templates(
     )
     response, angle = launch.results()
     keep = max(0, width - n + 1)
-    return response[:, :, :keep], angle[:, :, :keep]
+    return np.ascontiguousarray(response[:, :, :keep]), np.ascontiguousarray(angle[:, :, :keep])
 
 
 @any_arrays

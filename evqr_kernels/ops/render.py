@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from evqr_kernels import arguments
 from evqr_kernels.checks import ArrayChecks, Floats
 from evqr_kernels.interop import any_arrays
 from evqr_kernels.launch import Launch
@@ -58,7 +59,7 @@ def render_code(
     Determinism: bit for bit.
     """
     checks = ArrayChecks()
-    _check_render(checks, grid, to_grid, outside, sigma)
+    arguments.render_code(checks, grid, to_grid, outside, sigma)
     size = checks.image_shape(out, shape)
     launch = Launch("render_code", checks, backend, device)
     launch.run(*launch.put(grid, to_grid, outside), sigma, launch.result(out, *size))
@@ -101,7 +102,7 @@ def render_code_adjoint(
     Determinism: bit for bit.
     """
     checks = ArrayChecks()
-    _check_render(checks, grid, to_grid, outside, sigma)
+    arguments.render_code(checks, grid, to_grid, outside, sigma)
     checks.floats("adj_image", adj_image, "B", "Y", "X")
     launch = Launch("render_code_adjoint", checks, backend, device)
     batch, height, _ = adj_image.shape
@@ -154,9 +155,7 @@ def brightness_residual(
     Determinism: bit for bit.
     """
     checks = ArrayChecks()
-    checks.floats("luminance", luminance, "B", "Y", "X")
-    checks.floats("events_image", events_image, "B", "Y", "X")
-    checks.floats("motion", motion, "B", 2)
+    arguments.brightness_residual(checks, luminance, events_image, motion)
     if out is not None:
         checks.floats("out", out, "B", "Y", "X")
     launch = Launch("brightness_residual", checks, backend, device)
@@ -214,11 +213,3 @@ def brightness_residual_adjoint(
     launch.run(*inputs, rows, launch.result(None, *luminance.shape), launch.result(None, batch, 2))
     adj_luminance, adj_motion = launch.results()
     return adj_luminance, adj_motion
-
-
-def _check_render(checks: ArrayChecks, grid: Floats, to_grid: Floats, outside: Floats, sigma: float) -> None:
-    checks.floats("grid", grid, "B", "G", "H")
-    checks.parameters("to_grid", to_grid, (6, 8))
-    checks.floats("outside", outside, "B")
-    if not (sigma == 0.0 or 0.02 <= sigma <= 1.0):
-        raise ValueError(f"sigma must be 0, or 0.02 to 1, got {sigma}")

@@ -12,7 +12,8 @@ import numpy as np
 from numpy.typing import DTypeLike, NDArray
 
 from evqr_kernels.backend import OPS
-from evqr_kernels.config import DEFAULT_KERNELS, KernelSet
+from evqr_kernels.checks import check_contiguous
+from evqr_kernels.config import DEFAULT_KERNELS, KernelSet, SplatConfig
 from evqr_kernels.taichi_backend import (
     align,
     banded,
@@ -33,6 +34,7 @@ from evqr_kernels.taichi_backend import (
     solve,
     splat,
     splat_adjoint,
+    sums,
     templates,
 )
 from evqr_kernels.taichi_backend.arrays import DeviceArray, write
@@ -99,7 +101,7 @@ class TaichiBackend:
 
     def from_host(self, array: NDArray[Any], device: str) -> Any:
         """Bring a NumPy array to the device; on the CPU it is the same memory."""
-        array = np.ascontiguousarray(array)
+        check_contiguous("array", array.flags.c_contiguous)
         if device == "cpu" or array.size == 0:
             runtime.require(device)
             return array
@@ -164,7 +166,7 @@ class TaichiBackend:
 
 
 def _kernels(kernels: KernelSet) -> list[Any]:
-    """List the kernels that reading a code, one window at a time, launches."""
+    """List the kernels that reading a code, one window at a time, launches, and those of the splats named."""
     f32 = ti.f32
     on_cpu = runtime.running_on() == "cpu"
     block = CPU_BLOCK if on_cpu else GPU_BLOCK
@@ -194,7 +196,18 @@ def _kernels(kernels: KernelSet) -> list[Any]:
         code.make_fold_columns(f32, code.BLOCK),
         pull.make_pull_modules(f32),
         *solve.make_kernels(f32, on_cpu),
+        *(kernel for cfg in kernels.splats for kernel in _splat_kernels(cfg, on_cpu)),
     ]
+
+
+def _splat_kernels(cfg: SplatConfig, on_cpu: bool) -> list[Any]:
+    """List the kernels of a splat and its adjoint, for one window and several, and both kinds of motion."""
+    made = [sums.make_add_partials(ti.f32)]
+    for parameters in (2, 6):
+        made.append(splat_adjoint.make_splat_events_adjoint(ti.f32, cfg, parameters))
+        for alone in {False, on_cpu}:
+            made.append(splat.make_splat_events(ti.f32, cfg, parameters, not on_cpu, alone))
+    return made
 
 
 def load() -> TaichiBackend:

@@ -13,7 +13,8 @@ import warp as wp
 from numpy.typing import DTypeLike, NDArray
 
 from evqr_kernels.backend import OPS, require_device
-from evqr_kernels.config import DEFAULT_KERNELS, KernelSet
+from evqr_kernels.checks import check_contiguous
+from evqr_kernels.config import DEFAULT_KERNELS, KernelSet, SplatConfig
 from evqr_kernels.native_output import without_lines
 from evqr_kernels.warp_backend import (
     align,
@@ -35,6 +36,7 @@ from evqr_kernels.warp_backend import (
     solve,
     splat,
     splat_adjoint,
+    sums,
     templates,
 )
 from evqr_kernels.warp_backend.language import clear, record
@@ -100,7 +102,7 @@ class WarpBackend:
     def from_host(self, array: NDArray[Any], device: str) -> wp.array:
         """Bring a NumPy array to the device; on the CPU it is the same memory."""
         require_device(self, device)
-        array = np.ascontiguousarray(array)
+        check_contiguous("array", array.flags.c_contiguous)
         if device != "cpu":
             return wp.array(array, dtype=_DTYPES[array.dtype], device=device)
         # half the time that Warp takes to look the array over, some fifty times a window
@@ -156,7 +158,7 @@ def is_compiled(module: wp.Module, device: str) -> bool:
 
 
 def _modules(kernels: KernelSet, device: str) -> list[wp.Module]:
-    """List the Warp modules of the kernels that reading a code launches."""
+    """List the Warp modules of the kernels that reading a code launches, and of the splats named."""
     f32 = wp.float32
     block = templates.block_of(wp.get_device(device), width=640)
     made = [
@@ -188,8 +190,16 @@ def _modules(kernels: KernelSet, device: str) -> list[wp.Module]:
         pull.make_pull_modules(f32),
         *solve.make_kernels(f32, on_cpu=device == "cpu"),
         *([replay.run_sequence] if device == "cpu" else []),
+        *(kernel for cfg in kernels.splats for kernel in _splat_kernels(cfg)),
     ]
     return list(dict.fromkeys(kernel.module for kernel in made))
+
+
+def _splat_kernels(cfg: SplatConfig) -> list[wp.Kernel]:
+    """List the kernels of a splat and its adjoint, for motions of two and of six parameters."""
+    makers = splat.make_splat_events, splat_adjoint.make_splat_events_adjoint
+    kernels = [make(wp.float32, cfg, parameters) for make in makers for parameters in (2, 6)]
+    return [*kernels, sums.make_add_partials(wp.float32)]
 
 
 def load() -> WarpBackend:

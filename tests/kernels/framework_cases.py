@@ -6,7 +6,7 @@ import numpy as np
 
 from evqr_kernels import SplatConfig
 
-from . import cases, references
+from . import cases, references, test_ops
 
 SHAPE = cases.Y, cases.X
 
@@ -38,12 +38,30 @@ def splat_events_affine(rng, dtype):
     return splat_events(rng, dtype, 6)
 
 
+def splat_events_lagging(rng, dtype):
+    """In a frame of its own, with pixels that lag."""
+    case = splat_events(rng, dtype)
+    *_, case.arrays["lag"], case.arrays["frame"] = cases.splat_inputs(rng, dtype)
+    motion = case.arrays["motion"]
+    speed = np.linalg.norm(motion, axis=1, keepdims=True)
+    case.reference_options["direction"] = motion / np.where(speed > 0, speed, 1)
+    return case
+
+
 def deposit_events(rng, dtype):
     case = splat_events(rng, dtype)
     x, y = case.arrays["x"], case.arrays["y"]
     # between cells all of them, and none on a line
     x[:], y[:] = (4.013 + (column % 1.0) * 0.97 + np.floor(column % 14) for column in (x, y))
     return Case("deposit_events", case.arrays, ("weight",), {"shape": SHAPE})
+
+
+def deposit_events_in_a_frame(rng, dtype):
+    case = deposit_events(rng, dtype)
+    case.arrays["frame"] = np.tile(np.array([-4.25, 1.5, 1.3], dtype), (cases.B, 1))
+    for axis, corner in (("x", -4.25), ("y", 1.5)):
+        case.arrays[axis] = ((case.arrays[axis] + 0.5) * 1.3 - 0.5 + corner).astype(dtype)
+    return case
 
 
 def lag_operator(rng, dtype):
@@ -81,16 +99,26 @@ def sample_moments(rng, dtype):
     return Case("sample_moments", arrays, ("image",))
 
 
+def sample_moments_of_some(rng, dtype):
+    """Only some poses are active."""
+    case = sample_moments(rng, dtype)
+    case.arrays["active"] = (np.arange(len(case.arrays["pose"])) % 2).astype(np.int32)
+    return case
+
+
 CASES = [
     splat_events,
     splat_events_affine,
+    splat_events_lagging,
     deposit_events,
+    deposit_events_in_a_frame,
     lag_operator,
     render_code,
     render_code_smooth,
     render_code_tilted_smooth,
     brightness_residual,
     sample_moments,
+    sample_moments_of_some,
 ]
 
 TOLERANCE = {np.float32: 2e-4, np.float64: 1e-11}
@@ -101,3 +129,31 @@ def assert_like(got, expected, dtype):
     got, expected = np.asarray(got), np.asarray(expected)
     assert got.dtype == expected.dtype == dtype
     np.testing.assert_allclose(got, expected, rtol=0, atol=TOLERANCE[dtype] * np.abs(expected).max())
+
+
+OF_CHECKED_FUNCTIONS = {"out", "backend", "device"}
+OF_VALUES = ("window_ptr must go", "must not decrease", "positive scale", "_idx must be 0 to", "no out")
+
+
+OPERATIONS = {make.__name__ for make in CASES} & set(test_ops.GOOD)
+
+BAD_CALLS = [
+    (op, changes, error, message)
+    for op, changes, error, message in test_ops.BAD
+    if op in OPERATIONS and not set(changes) & OF_CHECKED_FUNCTIONS
+    if not any(words in message for words in OF_VALUES)
+]
+"""What the checked functions refuse and differentiable ones see too: no values of arrays."""
+
+
+def bad_arguments(op, changes, array):
+    """Arguments of such a call, made into arrays by ``array``."""
+
+    def made(value):
+        return array(value) if isinstance(value, np.ndarray) else value
+
+    arrays, options = test_ops.GOOD[op]
+    given = {f"arg{k}": value for k, value in enumerate(arrays)} | options | changes
+    given = {name: made(value) for name, value in given.items()}
+    arrays = [given.pop(f"arg{k}") for k in range(len(arrays))]
+    return arrays, given

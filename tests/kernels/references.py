@@ -13,39 +13,55 @@ def hat(xp, s):
     return xp.clip(1 - xp.abs(s), 0, None)
 
 
-def transported(xp, x, y, t, motion, shape):
-    """Where events are at the reference time, for 2 or 6 parameters."""
+def transported(xp, x, y, t, motion, shape, frame):
+    """Where events are at the reference time, for 2 or 6 parameters, in pixels of the frame's image."""
+    left, top, scale = frame
     vx, vy = motion[0], motion[1]
     if len(motion) == 6:
-        dx, dy = x - (shape[1] - 1) / 2, y - (shape[0] - 1) / 2
+        dx, dy = x - left + 0.5 - scale * shape[1] / 2, y - top + 0.5 - scale * shape[0] / 2
         vx, vy = vx + motion[2] * dx + motion[3] * dy, vy + motion[4] * dx + motion[5] * dy
-    return x - t * vx, y - t * vy
+    return (x - t * vx - left + 0.5) / scale - 0.5, (y - t * vy - top + 0.5) / scale - 0.5
 
 
-def splat_events(xp, x, y, t, weight, window_ptr, motion, *, shape, cfg):
+def splat_events(
+    xp, x, y, t, weight, window_ptr, motion, lag=None, frame=None, *, shape, cfg, direction=None
+):
+    """With a lag, ``direction`` (B, 2) is that of the motions."""
+
     def profile(r):
         q = xp.clip(1 - (r / cfg.radius_px) ** 2, 0, None)
         return cfg.norm * xp.exp(-0.5 * (r / cfg.epsilon_px) ** 2) * q * q
 
+    def slope(r):
+        q = xp.clip(1 - (r / cfg.radius_px) ** 2, 0, None)
+        gauss = cfg.norm * xp.exp(-0.5 * (r / cfg.epsilon_px) ** 2)
+        return -r * gauss * q * (q / cfg.epsilon_px**2 + 4 / cfg.radius_px**2)
+
     images = []
+    frame = [(0.0, 0.0, 1.0)] * len(motion) if frame is None else frame
     rows, columns = (xp.arange(size, dtype=x.dtype)[None] for size in shape)
     for b, (begin, end) in enumerate(pairwise(window_ptr)):
         part = slice(int(begin), int(end))
-        cx, cy = transported(xp, x[part], y[part], t[part], motion[b], shape)
-        images.append(
-            xp.einsum(
-                "e,ey,ex->yx", weight[part], profile(rows - cy[:, None]), profile(columns - cx[:, None])
-            )
-        )
+        w = weight[part]
+        cx, cy = transported(xp, x[part], y[part], t[part], motion[b], shape, frame[b])
+        right, down = columns - cx[:, None], rows - cy[:, None]
+        image = xp.einsum("e,ey,ex->yx", w, profile(down), profile(right))
+        if lag is not None:
+            lagging = w * xp.where(w < 0, lag[b, 1], lag[b, 0])
+            along, across = direction[b, 0] * lagging, direction[b, 1] * lagging
+            image = image - xp.einsum("e,ey,ex->yx", along, profile(down), slope(right))
+            image = image - xp.einsum("e,ey,ex->yx", across, slope(down), profile(right))
+        images.append(image)
     return xp.stack(images)
 
 
-def deposit_events(xp, x, y, t, weight, window_ptr, motion, *, shape):
+def deposit_events(xp, x, y, t, weight, window_ptr, motion, frame=None, *, shape):
     images = []
+    frame = [(0.0, 0.0, 1.0)] * len(motion) if frame is None else frame
     rows, columns = (xp.arange(size, dtype=x.dtype)[None] for size in shape)
     for b, (begin, end) in enumerate(pairwise(window_ptr)):
         part = slice(int(begin), int(end))
-        cx, cy = transported(xp, x[part], y[part], t[part], motion[b], shape)
+        cx, cy = transported(xp, x[part], y[part], t[part], motion[b], shape, frame[b])
         along, across = hat(xp, columns - cx[:, None]), hat(xp, rows - cy[:, None])
         for signed in (weight[part] * (weight[part] > 0), weight[part] * (weight[part] < 0)):
             images.append(xp.einsum("e,ey,ex->yx", signed, across, along))
@@ -110,16 +126,17 @@ def brightness_residual(xp, luminance, events_image, motion):
     return m[:, 0] * slope(luminance, 2) + m[:, 1] * slope(luminance, 1) + events_image
 
 
-def sample_moments(xp, image, image_idx, pose, points, table):
+def sample_moments(xp, image, image_idx, pose, points, table, active=None):
     height, width = image.shape[1:]
     rows, columns = (xp.arange(size, dtype=image.dtype)[None] for size in (height, width))
     moments = []
-    for b, p in zip(image_idx, pose, strict=True):
+    active = np.ones(len(pose)) if active is None else active
+    for b, p, looks in zip(image_idx, pose, active, strict=True):
         u, v = points[:, 0], points[:, 1]
         depth = p[6] * u + p[7] * v + p[8]
         x, y = (p[0] * u + p[1] * v + p[2]) / depth, (p[3] * u + p[4] * v + p[5]) / depth
         inside = (x >= 0) & (y >= 0) & (x < width - 1) & (y < height - 1)
         shares = hat(xp, rows - y[:, None]), hat(xp, columns - x[:, None])
         e = inside * xp.einsum("yx,sy,sx->s", image[int(b)], *shares)
-        moments.append(xp.concatenate([e @ table, (e @ e)[None]]))
+        moments.append(float(looks) * xp.concatenate([e @ table, (e @ e)[None]]))
     return xp.stack(moments)

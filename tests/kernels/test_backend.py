@@ -9,8 +9,19 @@ import pytest
 from backends import BACKENDS, needs
 
 import evqr_kernels
-from evqr_kernels import BackendUnavailable, backend, backend_names, get_backend, register_backend
+from evqr_kernels import (
+    BackendUnavailable,
+    KernelSet,
+    SplatConfig,
+    backend,
+    backend_names,
+    get_backend,
+    register_backend,
+    warp_backend,
+)
 from evqr_kernels.backend import OPS, require_device
+from evqr_kernels.warp_backend.splat import make_splat_events
+from evqr_kernels.warp_backend.splat_adjoint import make_splat_events_adjoint
 
 HEAVY = (
     "warp",
@@ -98,6 +109,8 @@ def test_arrays_on_the_cpu_are_the_same_memory(name):
         there = made.from_host(host, "cpu")
         assert np.shares_memory(made.to_host(there), host)
         assert made.to_host(made.empty((2, 0, 3), dtype, "cpu")).shape == (2, 0, 3)
+        with pytest.raises(ValueError, match="array must be contiguous, it is not copied"):
+            made.from_host(host[:, ::2], "cpu")
 
 
 def test_unknown_name_lists_the_known(registry):
@@ -122,6 +135,31 @@ def test_missing_dependency_names_the_extra(registry, tmp_path, monkeypatch):
     register_backend("taichi", "needy_backend:load")
     with pytest.raises(BackendUnavailable, match=r'pip install "evqr\[taichi\]"'):
         get_backend("taichi")
+
+
+@pytest.mark.parametrize("attribute", ["nothing", "__doc__"])
+def test_a_target_that_is_nothing_to_call_is_named(registry, attribute):
+    target = f"evqr_kernels.numpy_backend:{attribute}"
+    register_backend("other", target)
+    with pytest.raises(
+        BackendUnavailable, match=f"'other' cannot be loaded .*'{target}' names nothing to call"
+    ):
+        get_backend("other")
+
+
+def test_a_backend_may_ask_for_another(tmp_path):
+    """In a process of its own, which could wait for itself forever."""
+    (tmp_path / "on_top.py").write_text(
+        "from evqr_kernels import get_backend\ndef load(): return get_backend('numpy')\n"
+    )
+    code = f"""
+import sys
+from evqr_kernels import get_backend, register_backend
+sys.path.append({str(tmp_path)!r})
+register_backend("on_top", "on_top:load")
+print(get_backend("on_top").name)
+"""
+    assert run(code, timeout=30).stdout == "numpy\n"
 
 
 def test_a_named_backend_never_falls_back(registry):
@@ -177,6 +215,30 @@ def test_nothing_is_left_to_compile_after_loading(name):
     device = made.devices()[0]
     made.load(device)
     assert not made.needs_compile(device)
+
+
+def test_splats_are_loaded_by_name(monkeypatch):
+    """Theirs, and their adjoints', are the modules that are loaded beside those of reading a code."""
+    made, cfg = get_backend("warp"), SplatConfig(epsilon_px=0.71)
+    loaded = []
+    monkeypatch.setattr(warp_backend.wp, "load_module", lambda module, device: loaded.append(module))
+    made.load("cpu")
+    always = set(loaded)
+    made.load("cpu", KernelSet(splats=(cfg,)))
+    for make in (make_splat_events, make_splat_events_adjoint):
+        for parameters in (2, 6):
+            module = make(warp_backend.wp.float32, cfg, parameters).module
+            assert module in loaded
+            assert module not in always
+
+
+@pytest.mark.parametrize("name", BACKENDS[1:])
+def test_nothing_is_compiled_for_a_splat_after_loading(name):
+    kernels = KernelSet(splats=(SplatConfig(epsilon_px=0.5, radius_px=1.0),))
+    made = get_backend(name)
+    device = made.devices()[0]
+    made.load(device, kernels)
+    assert not made.needs_compile(device, kernels)
 
 
 def test_an_empty_cache_needs_compiling(tmp_path):

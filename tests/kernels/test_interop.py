@@ -73,6 +73,8 @@ def test_no_copy_is_made_of_what_is_not_contiguous(protocol):
         warp_view(foreign(every_other, protocol))
     with pytest.raises(ValueError, match="array must be contiguous"):
         warp_view(every_other)
+    with pytest.raises(ValueError, match=r"image must be contiguous, it is not copied: give np\.asc"):
+        evqr_kernels.reduce_image(every_other[None], ratio=2.0)
 
 
 def test_what_lies_on_a_gpu_is_refused_by_name():
@@ -94,6 +96,26 @@ def test_what_does_not_give_its_memory_away_is_refused_by_name():
 
     with pytest.raises(TypeError, match="image cannot be read without a copy: it takes part in something"):
         evqr_kernels.reduce_image(Closed(), ratio=2.0)
+
+
+@pytest.mark.parametrize("dtype", [np.int64, np.float16, np.uint8, ">f4"])
+@pytest.mark.parametrize("wrap", [lambda array: array, lambda array: foreign(array, "interface")])
+def test_no_view_of_another_dtype(dtype, wrap):
+    with pytest.raises(TypeError, match="array must be float32, float64 or int32, got"):
+        warp_view(wrap(np.zeros(3, dtype)))
+    if dtype != ">f4":  # DLPack has the machine's byte order only
+        with pytest.raises(TypeError, match="array must be float32, float64 or int32, got"):
+            warp_view(foreign(np.zeros(3, dtype), "dlpack"))
+
+
+def test_a_read_only_array_is_an_input_and_no_output():
+    array = np.ones((1, 4, 4), np.float32)
+    array.flags.writeable = False
+    read_only = foreign(array, "interface")
+    np.testing.assert_array_equal(evqr_kernels.reduce_image(read_only, ratio=1.0), array)
+    motion = np.zeros((1, 2), np.float32)
+    with pytest.raises(ValueError, match="out must be writable"):
+        evqr_kernels.brightness_residual(read_only, read_only, motion, out=read_only)
 
 
 @pytest.mark.parametrize("no_array", [[1.0], "text", None, object()])

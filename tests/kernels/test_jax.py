@@ -1,5 +1,7 @@
 """Differentiable JAX functions: in place, and with the gradients that JAX finds for the definitions."""
 
+import re
+
 import numpy as np
 import pytest
 
@@ -10,9 +12,16 @@ import jax.numpy as jnp  # noqa: E402
 
 import evqr_kernels.jax  # noqa: E402
 
-from .framework_cases import CASES, assert_like, brightness_residual, splat_events  # noqa: E402
+from .framework_cases import (  # noqa: E402
+    BAD_CALLS,
+    CASES,
+    assert_like,
+    bad_arguments,
+    brightness_residual,
+    splat_events,
+)
 
-INDICES = ("window_ptr", "deposit_idx", "image_idx")
+INDICES = ("window_ptr", "deposit_idx", "image_idx", "active")
 
 
 def arrays_of(case):
@@ -26,6 +35,7 @@ def test_output_and_gradients_are_those_of_the_definition(make, dtype, rng):
     given = arrays_of(case)
     plain = {name: case.arrays[name] if name in INDICES else array for name, array in given.items()}
     options = {**case.options, **({"erf": jax.scipy.special.erf} if case.uses_erf else {})}
+    options |= case.reference_options
 
     def ours(varied):
         return getattr(evqr_kernels.jax, case.op)(**{**given, **varied}, **case.options)
@@ -101,6 +111,22 @@ def test_bad_arguments(change, error, message, rng):
         evqr_kernels.jax.splat_events(**given, **case.options)
     with pytest.raises(TypeError, match=r"x must be a jax.Array, got ndarray"):
         evqr_kernels.jax.splat_events(**{**given, "x": case.arrays["x"]}, **case.options)
+
+
+@pytest.mark.parametrize(("op", "changes", "error", "message"), BAD_CALLS)
+def test_what_the_checked_functions_refuse(op, changes, error, message):
+    arrays, options = bad_arguments(op, changes, jnp.asarray)
+    message = message.replace("a NumPy array", "a jax.Array").replace("result", op)
+    with pytest.raises(error, match=re.escape(message)):
+        getattr(evqr_kernels.jax, op)(*arrays, **options)
+
+
+def test_a_jax_array_is_no_out():
+    out = jnp.zeros((1, 4, 4))
+    given = np.ones((1, 4, 4)), np.ones((1, 4, 4)), np.ones((1, 2))
+    with pytest.raises(ValueError, match="out must be writable"):
+        evqr_kernels.brightness_residual(*given, out=out)
+    np.testing.assert_array_equal(out, 0)
 
 
 def test_checked_functions_take_jax_arrays(rng):

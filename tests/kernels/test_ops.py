@@ -162,10 +162,25 @@ def test_out_is_accumulated_or_overwritten_in_place(name):
 
 
 @pytest.mark.parametrize("name", BACKENDS)
-def test_out_that_is_not_contiguous(name):
-    wide = np.zeros((B, Y, 2 * X), np.float32)
-    call("bin_events", arg2=np.ones(E, np.float32), out=wide[:, :, ::2], shape=None, backend=name)
-    np.testing.assert_array_equal(wide[:, 0, 0], [4, 6])
+def test_out_that_is_read_only_is_refused(name):
+    out = f32(B, Y, X)
+    out.flags.writeable = False
+    with pytest.raises(ValueError, match="out must be writable, it gets the result: give a copy"):
+        call("bin_events", arg2=np.ones(E, np.float32), out=out, shape=None, backend=name)
+    np.testing.assert_array_equal(out, 0)
+
+
+@pytest.mark.parametrize("name", BACKENDS)
+def test_inputs_that_are_read_only_are_read(name):
+    image = np.ones((B, Y, X), np.float32)
+    image.flags.writeable = False
+    np.testing.assert_array_equal(call("reduce_image", arg0=image, ratio=1.0, backend=name), image)
+
+
+@pytest.mark.parametrize("op", ["mix_images", "correlate_templates"])
+def test_what_is_cut_out_of_a_wider_result_can_be_given_on(op):
+    given = {"arg0": f32(4, Y, 7)} if op == "mix_images" else {"arg0": f32(B, Y, 7)}
+    assert all(result.flags.c_contiguous for result in as_tuple(call(op, **given)))
 
 
 def test_inputs_are_left_alone():
@@ -203,6 +218,15 @@ BAD = [
     ("render_code", {"shape": None}, TypeError, "shape of the image must be given when there is no out"),
     ("render_code", {"out": f32(3, Y, X)}, ValueError, "out must have shape (B, Y, X) with B = 2"),
     ("bin_events", {"arg1": f32(E + 1)}, ValueError, "y must have shape (E,) with E = 10, got (11,)"),
+    ("bin_events", {"arg0": f32(2 * E)[::2]}, ValueError, "x must be contiguous, it is not copied"),
+    (
+        "bin_events",
+        {"out": f32(B, Y, 2 * X)[:, :, ::2]},
+        ValueError,
+        "out must be contiguous, it is not copied: give np.ascontiguousarray(out)",
+    ),
+    ("render_code", {"shape": (Y, -1)}, ValueError, "result must have no negative size, got (2, 9, -1)"),
+    ("splat_events", {"arg4": PTR[:1]}, ValueError, "must have shape (B + 1,), got (1,) for 10 events"),
     ("bin_events", {"arg0": [1.0]}, TypeError, "x must be a NumPy array, got list"),
     ("bin_events", {"arg0": np.zeros(E, int)}, TypeError, "x must be float32 or float64, got int64"),
     (
@@ -246,6 +270,8 @@ BAD = [
     ("deposit_events", {"out": f32(B, Y, X)}, ValueError, "out must have shape (B, 2, Y, X), got (2, 9, 12)"),
     ("lag_operator", {"arg0": f32(B, 2, Y, 20)}, ValueError, "at least 16 + K = 21 wide, got 20"),
     ("lag_operator", {"arg4": f32(2, 4)}, ValueError, "with K odd and at least 3, got (2, 4)"),
+    ("lag_operator", {"arg4": f32(2, 1)}, ValueError, "with K odd and at least 3, got (2, 1)"),
+    ("lag_operator", {"arg0": f32(0, 2, Y, 21)}, ValueError, "deposit_idx must have shape (0,)"),
     ("lag_operator", {"arg1": PTR}, ValueError, "deposit_idx must be 0 to 1, got 0 to 10"),
     (
         "deposit_events_adjoint",
@@ -255,6 +281,12 @@ BAD = [
     ),
     ("lag_operator_adjoint", {"arg3": f32(2, 1)}, ValueError, "with K odd and at least 3, got (2, 1)"),
     ("lag_operator_adjoint", {"arg4": f32(B, Y, X)}, ValueError, "adj_image must have shape (N, Y, X)"),
+    (
+        "lag_operator_adjoint",
+        {"arg4": f32(3, Y, 4)},
+        ValueError,
+        "adj_image must be at least K = 5 wide, got 4",
+    ),
     ("lag_operator_adjoint", {"deposits": -1}, ValueError, "deposits must be at least 0, got -1"),
     ("lag_operator_adjoint", {"arg0": PTR}, ValueError, "deposit_idx must be 0 to 1, got 0 to 10"),
     ("motion_correlation", {"radius": -1}, ValueError, "radius must be at least 0, got -1"),
@@ -285,6 +317,8 @@ BAD = [
         ValueError,
         "image_idx must be 0 to 1, got 0 to 2",
     ),
+    ("sample_moments", {"arg0": f32(0, Y, X)}, ValueError, "image_idx must have shape (0,)"),
+    ("sample_moments", {"arg4": f32(20, 0)}, ValueError, "C must be at least 1, got 0"),
     ("sample_moments", {"active": np.ones(3)}, TypeError, "active must be int32, got float64"),
     (
         "sample_moments_adjoint",

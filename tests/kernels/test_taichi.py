@@ -11,10 +11,14 @@ import numpy as np
 import pytest
 from backends import needs
 
-from evqr_kernels import bin_events, get_backend
+from evqr_kernels import KernelSet, SplatConfig, bin_events, get_backend
 
 pytestmark = needs("taichi")
 runtime = pytest.importorskip("evqr_kernels.taichi_backend.runtime", exc_type=ImportError)
+
+from evqr_kernels import taichi_backend  # noqa: E402
+from evqr_kernels.taichi_backend import splat, splat_adjoint  # noqa: E402
+from evqr_kernels.taichi_backend.language import ti  # noqa: E402
 
 KERNEL_TESTS = Path(__file__).parent
 
@@ -26,6 +30,22 @@ def run(code, **variables):
     done = subprocess.run(command, capture_output=True, text=True, timeout=120, check=False, env=environment)
     assert done.returncode == 0, done.stderr
     return done.stdout
+
+
+def test_splats_are_loaded_by_name(monkeypatch):
+    made, cfg, compiled = get_backend("taichi"), SplatConfig(epsilon_px=0.71), []
+    monkeypatch.setattr(made, "_loaded", set())
+    monkeypatch.setattr(taichi_backend, "compile_kernel", compiled.append)
+    device = made.devices()[0]
+    made.load(device)
+    always = list(compiled)
+    made.load(device, KernelSet(splats=(cfg,)))
+    on_cpu = device == "cpu"
+    for parameters in (2, 6):
+        kernel = splat.make_splat_events(ti.f32, cfg, parameters, not on_cpu, on_cpu)
+        adjoint = splat_adjoint.make_splat_events_adjoint(ti.f32, cfg, parameters)
+        assert kernel in compiled and adjoint in compiled
+        assert kernel not in always and adjoint not in always
 
 
 @cache

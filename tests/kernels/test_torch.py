@@ -1,15 +1,32 @@
 """Differentiable PyTorch functions: in place, with the gradients that autograd finds for the definitions."""
 
+import re
+
 import numpy as np
 import pytest
 
 torch = pytest.importorskip("torch", reason="PyTorch is not installed")
 
 import evqr_kernels.torch  # noqa: E402
+from evqr_kernels.interop import warp_view  # noqa: E402
 
-from .framework_cases import CASES, assert_like, render_code, splat_events  # noqa: E402
+from .framework_cases import (  # noqa: E402
+    BAD_CALLS,
+    CASES,
+    assert_like,
+    bad_arguments,
+    render_code,
+    splat_events,
+)
 
-INDICES = ("window_ptr", "deposit_idx", "image_idx")
+INDICES = ("window_ptr", "deposit_idx", "image_idx", "active")
+
+
+@pytest.fixture(autouse=True)
+def memory_without_a_value_is_nan(monkeypatch):
+    """It is not 0 by luck."""
+    empty = evqr_kernels.torch._empty
+    monkeypatch.setattr(evqr_kernels.torch, "_empty", lambda *given: empty(*given).fill_(torch.nan))
 
 
 @pytest.fixture(params=["cpu", *(f"cuda:{k}" for k in range(torch.cuda.device_count()))])
@@ -34,6 +51,7 @@ def test_output_and_gradients_are_those_of_the_definition(make, device, dtype, r
     out = getattr(evqr_kernels.torch, case.op)(**given, **case.options)
     definition = {n: case.arrays[n] if n in INDICES else tensor for n, tensor in plain.items()}
     options = {**case.options, **({"erf": torch.erf} if case.uses_erf else {})}
+    options |= {n: torch.from_numpy(array).to(device) for n, array in case.reference_options.items()}
     expected = case.reference(torch, **definition, **options)
     assert_like(out.detach().cpu(), expected.detach().cpu(), dtype)
 
@@ -108,6 +126,14 @@ def test_bad_arguments(change, error, message, rng):
         evqr_kernels.torch.splat_events(**given, **case.options)
 
 
+@pytest.mark.parametrize(("op", "changes", "error", "message"), BAD_CALLS)
+def test_what_the_checked_functions_refuse(op, changes, error, message):
+    arrays, options = bad_arguments(op, changes, torch.from_numpy)
+    message = message.replace("a NumPy array", "a torch.Tensor").replace("result", op)
+    with pytest.raises(error, match=re.escape(message)):
+        getattr(evqr_kernels.torch, op)(*arrays, **options)
+
+
 def test_checked_functions_take_tensors(rng):
     case = splat_events(rng, np.float32)
     given = {name: torch.from_numpy(array) for name, array in case.arrays.items()}
@@ -116,3 +142,14 @@ def test_checked_functions_take_tensors(rng):
     given["weight"].requires_grad_()
     with pytest.raises(TypeError, match="weight cannot be read without a copy"):
         evqr_kernels.splat_events(**given, **case.options)
+
+
+@pytest.mark.parametrize("dtype", [torch.int64, torch.float16, torch.bool, torch.complex64])
+def test_no_view_of_another_dtype(dtype):
+    with pytest.raises(TypeError, match=r"array (must be float32, float64 or int32|cannot be read)"):
+        warp_view(torch.zeros(3, dtype=dtype))
+
+
+def test_no_view_of_what_takes_part_in_differentiation():
+    with pytest.raises(TypeError, match=r"array cannot be read without a copy: .*gradient"):
+        warp_view(torch.zeros(3, requires_grad=True))
