@@ -39,13 +39,59 @@ def make_slopes(dtype: type) -> wp.Function:
 
 
 @cache
+def make_residual_of_pixel(dtype: type) -> wp.Function:
+    """Build the residual at one pixel."""
+    slopes = make_slopes(dtype)
+
+    @wp.func
+    def residual_of_pixel(
+        luminance: wp.array3d(dtype=dtype),
+        events_image: wp.array3d(dtype=dtype),
+        motion: wp.array2d(dtype=dtype),
+        b: int,
+        y: int,
+        x: int,
+    ):
+        dx, dy = slopes(luminance, b, y, x)
+        return motion[b, 0] * dx + motion[b, 1] * dy + events_image[b, y, x]
+
+    return residual_of_pixel
+
+
+@cache
+def make_residual_of_block(dtype: type, block: int) -> wp.Function:
+    """Build the residual at neighbouring pixels of a row, all of which have one on either side in it."""
+    vec_block = vector(block, dtype)
+
+    @wp.func
+    def residual_of_block(
+        luminance_blocks: wp.array3d(dtype=vec_block),
+        events_blocks: wp.array3d(dtype=vec_block),
+        motion: wp.array2d(dtype=dtype),
+        b: int,
+        y: int,
+        x: int,
+    ):
+        above = wp.max(y - 1, 0)
+        below = wp.min(y + 1, luminance_blocks.shape[1] - 1)
+        along_x = luminance_blocks[b, y, x + 1] - luminance_blocks[b, y, x - 1]
+        along_y = luminance_blocks[b, below, x] - luminance_blocks[b, above, x]
+        half_x = dtype(0.5) * motion[b, 0]
+        half_y = dtype(0.5) * motion[b, 1]
+        return half_x * along_x + half_y * along_y + events_blocks[b, y, x]
+
+    return residual_of_block
+
+
+@cache
 def make_brightness_residual(dtype: type, block: int) -> wp.Kernel:
     """Build the forward kernel; launch: one thread per row.
 
     ``.._blocks``: `neighbours` of the array before.
     """
     vec_block = vector(block, dtype)
-    slopes = make_slopes(dtype)
+    residual_of_pixel = make_residual_of_pixel(dtype)
+    residual_of_block = make_residual_of_block(dtype, block)
 
     @wp.kernel(module=module_of(f"residual_{block}", dtype))
     def brightness_residual(
@@ -61,20 +107,15 @@ def make_brightness_residual(dtype: type, block: int) -> wp.Kernel:
         width = luminance.shape[2]
         blocks = wp.int32(0)
         if wp.static(block > 1):
-            above = wp.max(y - 1, 0)
-            below = wp.min(y + 1, luminance.shape[1] - 1)
-            half_x = dtype(0.5) * motion[b, 0]
-            half_y = dtype(0.5) * motion[b, 1]
             blocks = wp.max(width - 2, 0) // block
             for k in range(blocks):
                 x = 1 + block * k
-                along_x = luminance_blocks[b, y, x + 1] - luminance_blocks[b, y, x - 1]
-                along_y = luminance_blocks[b, below, x] - luminance_blocks[b, above, x]
-                residual_blocks_out[b, y, x] = half_x * along_x + half_y * along_y + events_blocks[b, y, x]
+                residual_blocks_out[b, y, x] = residual_of_block(
+                    luminance_blocks, events_blocks, motion, b, y, x
+                )
         for i in range(width - block * blocks):
             x = wp.where(i == 0, 0, block * blocks + i)
-            dx, dy = slopes(luminance, b, y, x)
-            residual_out[b, y, x] = motion[b, 0] * dx + motion[b, 1] * dy + events_image[b, y, x]
+            residual_out[b, y, x] = residual_of_pixel(luminance, events_image, motion, b, y, x)
 
     return brightness_residual
 
