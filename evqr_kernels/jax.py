@@ -29,6 +29,7 @@ from evqr_kernels.config import SplatConfig
 from evqr_kernels.differentiable import Rule, Shape
 
 __all__ = [
+    "brightness_cost",
     "brightness_residual",
     "deposit_events",
     "lag_operator",
@@ -77,6 +78,14 @@ def render_code(
 def brightness_residual(luminance: jax.Array, events_image: jax.Array, motion: jax.Array) -> jax.Array:
     """Slope of the luminance along the motion, plus the events (B, Y, X); differentiable in all three."""
     return _apply(differentiable.brightness_residual(), luminance, events_image, motion)
+
+
+def brightness_cost(
+    luminance: jax.Array, events_image: jax.Array, motion: jax.Array, *, mask: jax.Array | None = None
+) -> jax.Array:
+    """Half the sum of squared residuals, weighted by a mask (B,); differentiable in all but the mask."""
+    mask = jnp.ones_like(luminance) if mask is None else mask
+    return _apply(differentiable.brightness_cost(), luminance, events_image, motion, mask)
 
 
 def sample_moments(

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import numpy as np
+
 from evqr_kernels.checks import ArrayChecks, Floats
 from evqr_kernels.interop import any_arrays
 from evqr_kernels.launch import Launch
@@ -139,6 +141,105 @@ def brightness_residual_adjoint(
     launch.run(*inputs, rows, launch.result(None, *luminance.shape), launch.result(None, batch, 2))
     adj_luminance, adj_motion = launch.results()
     return adj_luminance, adj_motion
+
+
+@any_arrays
+def brightness_cost(
+    luminance: Floats, events_image: Floats, motion: Floats, *, mask: Floats | None = None,
+    backend: str = "auto", device: str | None = None,
+) -> Floats:  # fmt: skip
+    """Half the sum of squared residuals over the pixels of a window, each with a weight.
+
+    Parameters
+    ----------
+    luminance, events_image : (B, Y, X)   float32 or float64
+    motion : (B, 2)                       displacement over the window [px]
+    mask : (B, Y, X)                      weight of each pixel, at least 0: 1 used, 0 not; None: all used
+
+    Returns
+    -------
+    (B,)   1/2 sum of ``mask * brightness_residual(luminance, events_image, motion) ** 2``, in the square of
+           the unit that luminance and events have
+
+    Raises
+    ------
+    TypeError    an array of another dtype than float32 or float64, or than the arrays before it
+    ValueError   a wrong shape, a weight that is negative or NaN
+
+    Notes
+    -----
+    One pass over the three images, linear in pixels; the residual is not written.  A pixel of weight 0 must
+    still be finite.  One thread a row of pixels, then one a window that adds up rows in order: results repeat
+    bit for bit.
+
+    See Also
+    --------
+    brightness_residual, brightness_cost_adjoint
+    """
+    checks = ArrayChecks()
+    mask = _check_cost(checks, luminance, events_image, motion, mask)
+    launch = Launch("brightness_cost", checks, backend, device)
+    batch, height, _ = luminance.shape
+    inputs = launch.put(luminance, events_image, motion, mask)
+    launch.run(*inputs, launch.scratch(batch, height), launch.result(None, batch))
+    return launch.results()[0]
+
+
+@any_arrays
+def brightness_cost_adjoint(
+    luminance: Floats, events_image: Floats, motion: Floats, adj_cost: Floats, *, mask: Floats | None = None,
+    backend: str = "auto", device: str | None = None,
+) -> tuple[Floats, Floats, Floats]:  # fmt: skip
+    """Adjoint of `brightness_cost` in luminance, image of events and motion.
+
+    Parameters
+    ----------
+    adj_cost : (B,)   derivative of the loss with respect to the cost
+    others            as in `brightness_cost`
+
+    Returns
+    -------
+    (B, Y, X), (B, Y, X), (B, 2)   derivatives of the loss with respect to luminance, events' image and motion
+
+    Raises
+    ------
+    TypeError, ValueError   as in `brightness_cost`
+
+    Notes
+    -----
+    A mask says what is looked at and is held: there is no derivative in it (it is half the squared residual).
+    Two passes, linear in pixels: the residual is found anew, and written once, weighted, as the derivative in
+    the image of events.  One thread a row of pixels, then one for each component of a window's motion, which
+    adds up rows in order: results repeat bit for bit.
+    """
+    checks = ArrayChecks()
+    mask = _check_cost(checks, luminance, events_image, motion, mask)
+    checks.floats("adj_cost", adj_cost, "B")
+    launch = Launch("brightness_cost_adjoint", checks, backend, device)
+    batch, height, _ = luminance.shape
+    inputs = launch.put(luminance, events_image, motion, mask, adj_cost)
+    rows = launch.scratch(batch, height, 2)
+    image = luminance.shape
+    launch.run(
+        *inputs, rows, launch.result(None, *image), launch.result(None, *image), launch.result(None, batch, 2)
+    )
+    adj_luminance, adj_events, adj_motion = launch.results()
+    return adj_luminance, adj_events, adj_motion
+
+
+def _check_cost(
+    checks: ArrayChecks, luminance: Floats, events_image: Floats, motion: Floats, mask: Floats | None
+) -> Floats:
+    """Check the arguments of the cost; give the mask, made where there is none."""
+    checks.floats("luminance", luminance, "B", "Y", "X")
+    checks.floats("events_image", events_image, "B", "Y", "X")
+    checks.floats("motion", motion, "B", 2)
+    if mask is None:
+        return np.ones_like(luminance)
+    checks.floats("mask", mask, "B", "Y", "X")
+    if mask.size:
+        checks.at_least("mask", float(mask.min()), 0.0)
+    return mask
 
 
 def _check_render(checks: ArrayChecks, grid: Floats, to_grid: Floats, outside: Floats, sigma: float) -> None:

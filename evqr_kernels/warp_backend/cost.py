@@ -6,9 +6,11 @@ with the residual of ``residual.py``, which is not written down.  Adjoint, for a
 
     adj_E(y, x) = a_c mask(y, x) residual(y, x)
 
-which is the adjoint of the residual too: those in L and m follow from it as in ``residual.py``.
+which is the adjoint of the residual too: those in L and m follow from it as in ``residual.py``, m's on the
+way, L's in a second pass that reads what the first one has to write anyway.  In one pass, with the residual
+of four neighbours found again, it takes four times as long.
 
-A thread takes a row by blocks of neighbouring pixels, as there, and leaves the row's share of the sum.
+A thread takes a row by blocks of neighbouring pixels, as there, and leaves the row's share of the sums.
 """
 
 from functools import cache
@@ -18,9 +20,11 @@ import warp as wp
 from evqr_kernels.warp_backend.lag import CPU_BLOCK
 from evqr_kernels.warp_backend.language import launch, module_of, neighbours, vector
 from evqr_kernels.warp_backend.residual import (
-    brightness_residual_adjoint,
+    make_adjoint_of_block,
+    make_adjoint_of_pixel,
     make_residual_of_block,
     make_residual_of_pixel,
+    make_slopes,
 )
 from evqr_kernels.warp_backend.sums import add_partials
 
@@ -85,14 +89,13 @@ def brightness_cost(luminance, events_image, motion, mask, rows_out, cost_out) -
 
 
 @cache
-def make_adjoint_of_residual(dtype: type, block: int) -> wp.Kernel:
-    """Build the first pass of the adjoint; launch and blocks as forward."""
+def make_cost_adjoint_rows(dtype: type, block: int) -> wp.Kernel:
+    """Build the first pass of the adjoint, all but that in the luminance; launch and blocks as forward."""
     vec_block = vector(block, dtype)
-    residual_of_pixel = make_residual_of_pixel(dtype)
-    residual_of_block = make_residual_of_block(dtype, block)
+    slopes = make_slopes(dtype)
 
     @wp.kernel(module=module_of(f"cost_{block}", dtype))
-    def adjoint_of_residual(
+    def cost_adjoint_rows(
         luminance: wp.array3d(dtype=dtype),
         luminance_blocks: wp.array3d(dtype=vec_block),
         events_image: wp.array3d(dtype=dtype),
@@ -101,25 +104,78 @@ def make_adjoint_of_residual(dtype: type, block: int) -> wp.Kernel:
         mask: wp.array3d(dtype=dtype),
         mask_blocks: wp.array3d(dtype=vec_block),
         adj_cost: wp.array(dtype=dtype),
+        rows_out: wp.array3d(dtype=dtype),
         adj_events_out: wp.array3d(dtype=dtype),
         adj_events_blocks_out: wp.array3d(dtype=vec_block),
     ):
         b, y = wp.tid()
         width = luminance.shape[2]
-        adj = adj_cost[b]
+        factor = adj_cost[b]
+        adj_x = dtype(0.0)
+        adj_y = dtype(0.0)
+        blocks = wp.int32(0)
+        if wp.static(block > 1):
+            above = wp.max(y - 1, 0)
+            below = wp.min(y + 1, luminance.shape[1] - 1)
+            half_x = dtype(0.5) * motion[b, 0]
+            half_y = dtype(0.5) * motion[b, 1]
+            sums_x = vec_block()
+            sums_y = vec_block()
+            blocks = wp.max(width - 2, 0) // block
+            for k in range(blocks):
+                x = 1 + block * k
+                along_x = luminance_blocks[b, y, x + 1] - luminance_blocks[b, y, x - 1]
+                along_y = luminance_blocks[b, below, x] - luminance_blocks[b, above, x]
+                residuals = half_x * along_x + half_y * along_y + events_blocks[b, y, x]
+                adj = factor * wp.cw_mul(mask_blocks[b, y, x], residuals)
+                adj_events_blocks_out[b, y, x] = adj
+                sums_x += wp.cw_mul(adj, along_x)
+                sums_y += wp.cw_mul(adj, along_y)
+            for k in range(wp.static(block)):
+                adj_x += dtype(0.5) * sums_x[k]
+                adj_y += dtype(0.5) * sums_y[k]
+        for i in range(width - block * blocks):
+            x = wp.where(i == 0, 0, block * blocks + i)
+            dx, dy = slopes(luminance, b, y, x)
+            residual = motion[b, 0] * dx + motion[b, 1] * dy + events_image[b, y, x]
+            adj_residual = factor * mask[b, y, x] * residual
+            adj_events_out[b, y, x] = adj_residual
+            adj_x += adj_residual * dx
+            adj_y += adj_residual * dy
+        rows_out[b, y, 0] = adj_x
+        rows_out[b, y, 1] = adj_y
+
+    return cost_adjoint_rows
+
+
+@cache
+def make_adjoint_in_luminance(dtype: type, block: int) -> wp.Kernel:
+    """Build the second pass of the adjoint; launch and blocks as forward."""
+    vec_block = vector(block, dtype)
+    adjoint_of_pixel = make_adjoint_of_pixel(dtype)
+    adjoint_of_block = make_adjoint_of_block(dtype, block)
+
+    @wp.kernel(module=module_of(f"cost_{block}", dtype))
+    def adjoint_in_luminance(
+        motion: wp.array2d(dtype=dtype),
+        adj_residual: wp.array3d(dtype=dtype),
+        adj_blocks: wp.array3d(dtype=vec_block),
+        adj_luminance_out: wp.array3d(dtype=dtype),
+        adj_luminance_blocks_out: wp.array3d(dtype=vec_block),
+    ):
+        b, y = wp.tid()
+        width = adj_residual.shape[2]
         blocks = wp.int32(0)
         if wp.static(block > 1):
             blocks = wp.max(width - 2, 0) // block
             for k in range(blocks):
                 x = 1 + block * k
-                residuals = residual_of_block(luminance_blocks, events_blocks, motion, b, y, x)
-                adj_events_blocks_out[b, y, x] = adj * wp.cw_mul(mask_blocks[b, y, x], residuals)
+                adj_luminance_blocks_out[b, y, x] = adjoint_of_block(adj_blocks, motion, b, y, x)
         for i in range(width - block * blocks):
             x = wp.where(i == 0, 0, block * blocks + i)
-            residual = residual_of_pixel(luminance, events_image, motion, b, y, x)
-            adj_events_out[b, y, x] = adj * mask[b, y, x] * residual
+            adj_luminance_out[b, y, x] = adjoint_of_pixel(adj_residual, motion, b, y, x)
 
-    return adjoint_of_residual
+    return adjoint_in_luminance
 
 
 def brightness_cost_adjoint(
@@ -129,13 +185,20 @@ def brightness_cost_adjoint(
     """Launch all passes; overwrites."""
     block = CPU_BLOCK if luminance.device.is_cpu else 1
     launch(
-        make_adjoint_of_residual(luminance.dtype, block),
+        make_cost_adjoint_rows(luminance.dtype, block),
         luminance.shape[:2],
         inputs=[
             luminance, neighbours(luminance, block), events_image, neighbours(events_image, block), motion,
             mask, neighbours(mask, block), adj_cost,
         ],
-        outputs=[adj_events_out, neighbours(adj_events_out, block)],
+        outputs=[rows_out, adj_events_out, neighbours(adj_events_out, block)],
         device=luminance.device,
     )  # fmt: skip
-    brightness_residual_adjoint(luminance, motion, adj_events_out, rows_out, adj_luminance_out, adj_motion_out)
+    launch(
+        make_adjoint_in_luminance(luminance.dtype, block),
+        luminance.shape[:2],
+        inputs=[motion, adj_events_out, neighbours(adj_events_out, block)],
+        outputs=[adj_luminance_out, neighbours(adj_luminance_out, block)],
+        device=luminance.device,
+    )
+    add_partials(rows_out, adj_motion_out)

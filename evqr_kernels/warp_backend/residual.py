@@ -74,11 +74,13 @@ def make_residual_of_block(dtype: type, block: int) -> wp.Function:
     ):
         above = wp.max(y - 1, 0)
         below = wp.min(y + 1, luminance_blocks.shape[1] - 1)
-        along_x = luminance_blocks[b, y, x + 1] - luminance_blocks[b, y, x - 1]
-        along_y = luminance_blocks[b, below, x] - luminance_blocks[b, above, x]
         half_x = dtype(0.5) * motion[b, 0]
         half_y = dtype(0.5) * motion[b, 1]
-        return half_x * along_x + half_y * along_y + events_blocks[b, y, x]
+        # in another order the compiler takes the pixels of a block one by one
+        along_x = luminance_blocks[b, y, x + 1] - luminance_blocks[b, y, x - 1]
+        across = half_x * along_x + events_blocks[b, y, x]
+        along_y = luminance_blocks[b, below, x] - luminance_blocks[b, above, x]
+        return half_y * along_y + across
 
     return residual_of_block
 
@@ -135,10 +137,8 @@ def brightness_residual(luminance, events_image, motion, residual_out) -> None:
 
 
 @cache
-def make_brightness_residual_adjoint(dtype: type, block: int) -> wp.Kernel:
-    """Build the adjoint kernel; launch and blocks as forward."""
-    vec_block = vector(block, dtype)
-    slopes = make_slopes(dtype)
+def make_adjoint_of_pixel(dtype: type) -> wp.Function:
+    """Build the adjoint in the luminance at one pixel, for a given one of the residual."""
 
     @wp.func
     def beyond(adj: wp.array3d(dtype=dtype), b: int, y: int, x: int) -> dtype:
@@ -148,6 +148,49 @@ def make_brightness_residual_adjoint(dtype: type, block: int) -> wp.Kernel:
         if row != y or column != x:
             value = -value
         return value
+
+    @wp.func
+    def adjoint_of_pixel(
+        adj: wp.array3d(dtype=dtype), motion: wp.array2d(dtype=dtype), b: int, y: int, x: int
+    ):
+        along_x = beyond(adj, b, y, x - 1) - beyond(adj, b, y, x + 1)
+        along_y = beyond(adj, b, y - 1, x) - beyond(adj, b, y + 1, x)
+        return dtype(0.5) * (motion[b, 0] * along_x + motion[b, 1] * along_y)
+
+    return adjoint_of_pixel
+
+
+@cache
+def make_adjoint_of_block(dtype: type, block: int) -> wp.Function:
+    """Build the same at neighbouring pixels of a row, all of which have one on either side in it."""
+    vec_block = vector(block, dtype)
+
+    @wp.func
+    def adjoint_of_block(
+        adj_blocks: wp.array3d(dtype=vec_block), motion: wp.array2d(dtype=dtype), b: int, y: int, x: int
+    ):
+        above = wp.max(y - 1, 0)
+        below = wp.min(y + 1, adj_blocks.shape[1] - 1)
+        from_above = dtype(0.5) * motion[b, 1]
+        from_below = -from_above
+        if above == y:
+            from_above = -from_above
+        if below == y:
+            from_below = -from_below
+        along_x = adj_blocks[b, y, x - 1] - adj_blocks[b, y, x + 1]
+        along_y = from_above * adj_blocks[b, above, x] + from_below * adj_blocks[b, below, x]
+        return dtype(0.5) * motion[b, 0] * along_x + along_y
+
+    return adjoint_of_block
+
+
+@cache
+def make_brightness_residual_adjoint(dtype: type, block: int) -> wp.Kernel:
+    """Build the adjoint kernel; launch and blocks as forward."""
+    vec_block = vector(block, dtype)
+    slopes = make_slopes(dtype)
+    adjoint_of_pixel = make_adjoint_of_pixel(dtype)
+    adjoint_of_block = make_adjoint_of_block(dtype, block)
 
     @wp.kernel(module=module_of(f"residual_{block}", dtype))
     def brightness_residual_adjoint(
@@ -168,13 +211,6 @@ def make_brightness_residual_adjoint(dtype: type, block: int) -> wp.Kernel:
         if wp.static(block > 1):
             above = wp.max(y - 1, 0)
             below = wp.min(y + 1, luminance.shape[1] - 1)
-            half_x = dtype(0.5) * motion[b, 0]
-            from_above = dtype(0.5) * motion[b, 1]
-            from_below = -from_above
-            if y == 0:
-                from_above = -from_above
-            if y == luminance.shape[1] - 1:
-                from_below = -from_below
             sums_x = vec_block()
             sums_y = vec_block()
             blocks = wp.max(width - 2, 0) // block
@@ -183,9 +219,7 @@ def make_brightness_residual_adjoint(dtype: type, block: int) -> wp.Kernel:
                 adj = adj_blocks[b, y, x]
                 sums_x += wp.cw_mul(adj, luminance_blocks[b, y, x + 1] - luminance_blocks[b, y, x - 1])
                 sums_y += wp.cw_mul(adj, luminance_blocks[b, below, x] - luminance_blocks[b, above, x])
-                along_x = adj_blocks[b, y, x - 1] - adj_blocks[b, y, x + 1]
-                along_y = from_above * adj_blocks[b, above, x] + from_below * adj_blocks[b, below, x]
-                adj_luminance_blocks_out[b, y, x] = half_x * along_x + along_y
+                adj_luminance_blocks_out[b, y, x] = adjoint_of_block(adj_blocks, motion, b, y, x)
             for k in range(wp.static(block)):
                 adj_x += dtype(0.5) * sums_x[k]
                 adj_y += dtype(0.5) * sums_y[k]
@@ -194,9 +228,7 @@ def make_brightness_residual_adjoint(dtype: type, block: int) -> wp.Kernel:
             dx, dy = slopes(luminance, b, y, x)
             adj_x += adj_residual[b, y, x] * dx
             adj_y += adj_residual[b, y, x] * dy
-            left_right = beyond(adj_residual, b, y, x - 1) - beyond(adj_residual, b, y, x + 1)
-            up_down = beyond(adj_residual, b, y - 1, x) - beyond(adj_residual, b, y + 1, x)
-            adj_luminance_out[b, y, x] = dtype(0.5) * (motion[b, 0] * left_right + motion[b, 1] * up_down)
+            adj_luminance_out[b, y, x] = adjoint_of_pixel(adj_residual, motion, b, y, x)
         rows_out[b, y, 0] = adj_x
         rows_out[b, y, 1] = adj_y
 

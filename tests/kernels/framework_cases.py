@@ -75,6 +75,12 @@ def brightness_residual(rng, dtype):
     return Case("brightness_residual", arrays, names)
 
 
+def brightness_cost(rng, dtype):
+    names = ("luminance", "events_image", "motion", "mask")
+    arrays = dict(zip(names, cases.brightness_cost(rng, dtype).inputs, strict=True))
+    return Case("brightness_cost", arrays, names[:3])
+
+
 def sample_moments(rng, dtype):
     image, image_idx, pose, _, points, table = cases.sample_moments(rng, dtype).inputs
     arrays = {"image": image, "image_idx": image_idx, "pose": pose, "points": points, "table": table}
@@ -90,6 +96,7 @@ CASES = [
     render_code_smooth,
     render_code_tilted_smooth,
     brightness_residual,
+    brightness_cost,
     sample_moments,
 ]
 
