@@ -13,7 +13,7 @@ from evqr_kernels.taichi_backend.language import (
     ti,
 )
 from evqr_kernels.taichi_backend.launches import launch
-from evqr_kernels.taichi_backend.residual import adjoint_of_pixel, make_adjoint_of_block, make_slopes
+from evqr_kernels.taichi_backend.residual import make_adjoint_of_row, make_slopes
 from evqr_kernels.taichi_backend.sums import add_partials
 
 
@@ -147,26 +147,14 @@ def make_cost_adjoint_rows(dtype):
 @cache
 def make_adjoint_in_luminance(dtype, block: int):
     """Build the second pass of the adjoint; one thread per row, whose inside it does in blocks."""
-    adjoint_of_block = make_adjoint_of_block(dtype, block)
+    adjoint_of_row = make_adjoint_of_row(dtype, block)
 
     @ti.kernel
     def adjoint_in_luminance(
         motion: array(dtype, 2), adj_residual: array(dtype, 3), adj_luminance_out: array(dtype, 3)
     ):
         for b, y in ti.ndrange(adj_residual.shape[0], adj_residual.shape[1]):
-            half_x = dtype(0.5) * motion[b, 0]
-            half_y = dtype(0.5) * motion[b, 1]
-            width = adj_residual.shape[2]
-            blocks = ti.max(width - 2, 0) // block
-            for k in range(blocks):
-                x = 1 + block * k
-                value = adjoint_of_block(adj_residual, half_x, half_y, b, y, x)
-                here = run_at(row_of(adj_residual, b, y) + x)
-                for p in ti.static(range(block)):
-                    adj_luminance_out[0, 0, here + p] = value[p]
-            for k in range(width - block * blocks):  # the first pixel, and the last ones
-                x = ti.select(k == 0, 0, block * blocks + k)
-                adj_luminance_out[b, y, x] = adjoint_of_pixel(adj_residual, half_x, half_y, b, y, x)
+            adjoint_of_row(adj_residual, motion, b, y, adj_luminance_out)
 
     return adjoint_in_luminance
 

@@ -20,8 +20,7 @@ import warp as wp
 from evqr_kernels.warp_backend.lag import CPU_BLOCK
 from evqr_kernels.warp_backend.language import launch, module_of, neighbours, vector
 from evqr_kernels.warp_backend.residual import (
-    make_adjoint_of_block,
-    make_adjoint_of_pixel,
+    make_adjoint_of_row,
     make_residual_of_block,
     make_residual_of_pixel,
     make_slopes,
@@ -152,8 +151,7 @@ def make_cost_adjoint_rows(dtype: type, block: int) -> wp.Kernel:
 def make_adjoint_in_luminance(dtype: type, block: int) -> wp.Kernel:
     """Build the second pass of the adjoint; launch and blocks as forward."""
     vec_block = vector(block, dtype)
-    adjoint_of_pixel = make_adjoint_of_pixel(dtype)
-    adjoint_of_block = make_adjoint_of_block(dtype, block)
+    adjoint_of_row = make_adjoint_of_row(dtype, block)
 
     @wp.kernel(module=module_of(f"cost_{block}", dtype))
     def adjoint_in_luminance(
@@ -164,16 +162,7 @@ def make_adjoint_in_luminance(dtype: type, block: int) -> wp.Kernel:
         adj_luminance_blocks_out: wp.array3d(dtype=vec_block),
     ):
         b, y = wp.tid()
-        width = adj_residual.shape[2]
-        blocks = wp.int32(0)
-        if wp.static(block > 1):
-            blocks = wp.max(width - 2, 0) // block
-            for k in range(blocks):
-                x = 1 + block * k
-                adj_luminance_blocks_out[b, y, x] = adjoint_of_block(adj_blocks, motion, b, y, x)
-        for i in range(width - block * blocks):
-            x = wp.where(i == 0, 0, block * blocks + i)
-            adj_luminance_out[b, y, x] = adjoint_of_pixel(adj_residual, motion, b, y, x)
+        adjoint_of_row(adj_residual, adj_blocks, motion, b, y, adj_luminance_out, adj_luminance_blocks_out)
 
     return adjoint_in_luminance
 

@@ -107,16 +107,17 @@ def make_brightness_residual(dtype: type, block: int) -> wp.Kernel:
     ):
         b, y = wp.tid()
         width = luminance.shape[2]
-        blocks = wp.int32(0)
+        singles = width
         if wp.static(block > 1):
-            blocks = wp.max(width - 2, 0) // block
-            for k in range(blocks):
-                x = 1 + block * k
-                residual_blocks_out[b, y, x] = residual_of_block(
-                    luminance_blocks, events_blocks, motion, b, y, x
-                )
-        for i in range(width - block * blocks):
-            x = wp.where(i == 0, 0, block * blocks + i)
+            if width - 2 >= block:
+                singles = wp.int32(2)
+                for k in range((width - 3 + block) // block):
+                    x = wp.min(1 + block * k, width - 1 - block)  # the last block overlaps the one before
+                    residual_blocks_out[b, y, x] = residual_of_block(
+                        luminance_blocks, events_blocks, motion, b, y, x
+                    )
+        for i in range(singles):
+            x = wp.where(i == 0, 0, width - singles + i)
             residual_out[b, y, x] = residual_of_pixel(luminance, events_image, motion, b, y, x)
 
     return brightness_residual
@@ -137,8 +138,9 @@ def brightness_residual(luminance, events_image, motion, residual_out) -> None:
 
 
 @cache
-def make_adjoint_of_pixel(dtype: type) -> wp.Function:
-    """Build the adjoint in the luminance at one pixel, for a given one of the residual."""
+def make_adjoint_of_row(dtype: type, block: int) -> wp.Function:
+    """Build what writes a row of the adjoint in the luminance, for a given one of the residual."""
+    vec_block = vector(block, dtype)
 
     @wp.func
     def beyond(adj: wp.array3d(dtype=dtype), b: int, y: int, x: int) -> dtype:
@@ -150,38 +152,42 @@ def make_adjoint_of_pixel(dtype: type) -> wp.Function:
         return value
 
     @wp.func
-    def adjoint_of_pixel(
-        adj: wp.array3d(dtype=dtype), motion: wp.array2d(dtype=dtype), b: int, y: int, x: int
+    def adjoint_of_row(
+        adj: wp.array3d(dtype=dtype),
+        adj_blocks: wp.array3d(dtype=vec_block),
+        motion: wp.array2d(dtype=dtype),
+        b: int,
+        y: int,
+        out: wp.array3d(dtype=dtype),
+        blocks_out: wp.array3d(dtype=vec_block),
     ):
-        along_x = beyond(adj, b, y, x - 1) - beyond(adj, b, y, x + 1)
-        along_y = beyond(adj, b, y - 1, x) - beyond(adj, b, y + 1, x)
-        return dtype(0.5) * (motion[b, 0] * along_x + motion[b, 1] * along_y)
+        width = adj.shape[2]
+        half_x = dtype(0.5) * motion[b, 0]
+        half_y = dtype(0.5) * motion[b, 1]
+        singles = width
+        if wp.static(block > 1):
+            if width - 2 >= block:
+                singles = wp.int32(2)
+                above = wp.max(y - 1, 0)
+                below = wp.min(y + 1, adj.shape[1] - 1)
+                from_above = half_y
+                from_below = -half_y
+                if above == y:
+                    from_above = -from_above
+                if below == y:
+                    from_below = -from_below
+                for k in range((width - 3 + block) // block):
+                    x = wp.min(1 + block * k, width - 1 - block)  # the last block overlaps the one before
+                    along_x = adj_blocks[b, y, x - 1] - adj_blocks[b, y, x + 1]
+                    along_y = from_above * adj_blocks[b, above, x] + from_below * adj_blocks[b, below, x]
+                    blocks_out[b, y, x] = half_x * along_x + along_y
+        for i in range(singles):
+            x = wp.where(i == 0, 0, width - singles + i)
+            left_right = beyond(adj, b, y, x - 1) - beyond(adj, b, y, x + 1)
+            up_down = beyond(adj, b, y - 1, x) - beyond(adj, b, y + 1, x)
+            out[b, y, x] = half_x * left_right + half_y * up_down
 
-    return adjoint_of_pixel
-
-
-@cache
-def make_adjoint_of_block(dtype: type, block: int) -> wp.Function:
-    """Build the same at neighbouring pixels of a row, all of which have one on either side in it."""
-    vec_block = vector(block, dtype)
-
-    @wp.func
-    def adjoint_of_block(
-        adj_blocks: wp.array3d(dtype=vec_block), motion: wp.array2d(dtype=dtype), b: int, y: int, x: int
-    ):
-        above = wp.max(y - 1, 0)
-        below = wp.min(y + 1, adj_blocks.shape[1] - 1)
-        from_above = dtype(0.5) * motion[b, 1]
-        from_below = -from_above
-        if above == y:
-            from_above = -from_above
-        if below == y:
-            from_below = -from_below
-        along_x = adj_blocks[b, y, x - 1] - adj_blocks[b, y, x + 1]
-        along_y = from_above * adj_blocks[b, above, x] + from_below * adj_blocks[b, below, x]
-        return dtype(0.5) * motion[b, 0] * along_x + along_y
-
-    return adjoint_of_block
+    return adjoint_of_row
 
 
 @cache
@@ -189,8 +195,7 @@ def make_brightness_residual_adjoint(dtype: type, block: int) -> wp.Kernel:
     """Build the adjoint kernel; launch and blocks as forward."""
     vec_block = vector(block, dtype)
     slopes = make_slopes(dtype)
-    adjoint_of_pixel = make_adjoint_of_pixel(dtype)
-    adjoint_of_block = make_adjoint_of_block(dtype, block)
+    adjoint_of_row = make_adjoint_of_row(dtype, block)
 
     @wp.kernel(module=module_of(f"residual_{block}", dtype))
     def brightness_residual_adjoint(
@@ -219,7 +224,6 @@ def make_brightness_residual_adjoint(dtype: type, block: int) -> wp.Kernel:
                 adj = adj_blocks[b, y, x]
                 sums_x += wp.cw_mul(adj, luminance_blocks[b, y, x + 1] - luminance_blocks[b, y, x - 1])
                 sums_y += wp.cw_mul(adj, luminance_blocks[b, below, x] - luminance_blocks[b, above, x])
-                adj_luminance_blocks_out[b, y, x] = adjoint_of_block(adj_blocks, motion, b, y, x)
             for k in range(wp.static(block)):
                 adj_x += dtype(0.5) * sums_x[k]
                 adj_y += dtype(0.5) * sums_y[k]
@@ -228,9 +232,9 @@ def make_brightness_residual_adjoint(dtype: type, block: int) -> wp.Kernel:
             dx, dy = slopes(luminance, b, y, x)
             adj_x += adj_residual[b, y, x] * dx
             adj_y += adj_residual[b, y, x] * dy
-            adj_luminance_out[b, y, x] = adjoint_of_pixel(adj_residual, motion, b, y, x)
         rows_out[b, y, 0] = adj_x
         rows_out[b, y, 1] = adj_y
+        adjoint_of_row(adj_residual, adj_blocks, motion, b, y, adj_luminance_out, adj_luminance_blocks_out)
 
     return brightness_residual_adjoint
 
