@@ -24,6 +24,7 @@ from evqr_kernels.warp_backend.residual import (
     make_residual_of_block,
     make_residual_of_pixel,
     make_slopes,
+    make_without_first,
 )
 from evqr_kernels.warp_backend.sums import add_partials
 
@@ -37,6 +38,7 @@ def make_cost_rows(dtype: type, block: int) -> wp.Kernel:
     vec_block = vector(block, dtype)
     residual_of_pixel = make_residual_of_pixel(dtype)
     residual_of_block = make_residual_of_block(dtype, block)
+    without_first = make_without_first(dtype, block)
 
     @wp.kernel(module=module_of(f"cost_{block}", dtype))
     def cost_rows(
@@ -52,18 +54,24 @@ def make_cost_rows(dtype: type, block: int) -> wp.Kernel:
         b, y = wp.tid()
         width = luminance.shape[2]
         total = dtype(0.0)
-        blocks = wp.int32(0)
+        singles = width
         if wp.static(block > 1):
-            sums = vec_block()
-            blocks = wp.max(width - 2, 0) // block
-            for k in range(blocks):
-                x = 1 + block * k
+            if width - 2 >= block:
+                singles = wp.int32(2)
+                blocks = (width - 2) // block
+                sums = vec_block()
+                for k in range(blocks):
+                    x = 1 + block * k
+                    residuals = residual_of_block(luminance_blocks, events_blocks, motion, b, y, x)
+                    sums += wp.cw_mul(wp.cw_mul(mask_blocks[b, y, x], residuals), residuals)
+                x = width - 1 - block  # the last block overlaps the one before
                 residuals = residual_of_block(luminance_blocks, events_blocks, motion, b, y, x)
-                sums += wp.cw_mul(wp.cw_mul(mask_blocks[b, y, x], residuals), residuals)
-            for k in range(wp.static(block)):
-                total += sums[k]
-        for i in range(width - block * blocks):
-            x = wp.where(i == 0, 0, block * blocks + i)
+                weights = without_first(mask_blocks[b, y, x], 1 + block * blocks - x)
+                sums += wp.cw_mul(wp.cw_mul(weights, residuals), residuals)
+                for k in range(wp.static(block)):
+                    total += sums[k]
+        for i in range(singles):
+            x = wp.where(i == 0, 0, width - singles + i)
             residual = residual_of_pixel(luminance, events_image, motion, b, y, x)
             total += mask[b, y, x] * residual * residual
         rows_out[b, y] = dtype(0.5) * total
@@ -92,6 +100,29 @@ def make_cost_adjoint_rows(dtype: type, block: int) -> wp.Kernel:
     """Build the first pass of the adjoint, all but that in the luminance; launch and blocks as forward."""
     vec_block = vector(block, dtype)
     slopes = make_slopes(dtype)
+    without_first = make_without_first(dtype, block)
+
+    @wp.func
+    def adjoint_of_block(
+        luminance_blocks: wp.array3d(dtype=vec_block),
+        events_blocks: wp.array3d(dtype=vec_block),
+        mask_blocks: wp.array3d(dtype=vec_block),
+        motion: wp.array2d(dtype=dtype),
+        factor: dtype,
+        b: int,
+        y: int,
+        x: int,
+    ):
+        above = wp.max(y - 1, 0)
+        below = wp.min(y + 1, luminance_blocks.shape[1] - 1)
+        half_x = dtype(0.5) * motion[b, 0]
+        half_y = dtype(0.5) * motion[b, 1]
+        # in the order of `make_residual_of_block`
+        along_x = luminance_blocks[b, y, x + 1] - luminance_blocks[b, y, x - 1]
+        across = half_x * along_x + events_blocks[b, y, x]
+        along_y = luminance_blocks[b, below, x] - luminance_blocks[b, above, x]
+        residuals = half_y * along_y + across
+        return factor * wp.cw_mul(mask_blocks[b, y, x], residuals), along_x, along_y
 
     @wp.kernel(module=module_of(f"cost_{block}", dtype))
     def cost_adjoint_rows(
@@ -112,29 +143,34 @@ def make_cost_adjoint_rows(dtype: type, block: int) -> wp.Kernel:
         factor = adj_cost[b]
         adj_x = dtype(0.0)
         adj_y = dtype(0.0)
-        blocks = wp.int32(0)
+        singles = width
         if wp.static(block > 1):
-            above = wp.max(y - 1, 0)
-            below = wp.min(y + 1, luminance.shape[1] - 1)
-            half_x = dtype(0.5) * motion[b, 0]
-            half_y = dtype(0.5) * motion[b, 1]
-            sums_x = vec_block()
-            sums_y = vec_block()
-            blocks = wp.max(width - 2, 0) // block
-            for k in range(blocks):
-                x = 1 + block * k
-                along_x = luminance_blocks[b, y, x + 1] - luminance_blocks[b, y, x - 1]
-                along_y = luminance_blocks[b, below, x] - luminance_blocks[b, above, x]
-                residuals = half_x * along_x + half_y * along_y + events_blocks[b, y, x]
-                adj = factor * wp.cw_mul(mask_blocks[b, y, x], residuals)
+            if width - 2 >= block:
+                singles = wp.int32(2)
+                blocks = (width - 2) // block
+                sums_x = vec_block()
+                sums_y = vec_block()
+                for k in range(blocks):
+                    x = 1 + block * k
+                    adj, along_x, along_y = adjoint_of_block(
+                        luminance_blocks, events_blocks, mask_blocks, motion, factor, b, y, x
+                    )
+                    adj_events_blocks_out[b, y, x] = adj
+                    sums_x += wp.cw_mul(adj, along_x)
+                    sums_y += wp.cw_mul(adj, along_y)
+                x = width - 1 - block  # the last block overlaps the one before
+                adj, along_x, along_y = adjoint_of_block(
+                    luminance_blocks, events_blocks, mask_blocks, motion, factor, b, y, x
+                )
                 adj_events_blocks_out[b, y, x] = adj
+                adj = without_first(adj, 1 + block * blocks - x)
                 sums_x += wp.cw_mul(adj, along_x)
                 sums_y += wp.cw_mul(adj, along_y)
-            for k in range(wp.static(block)):
-                adj_x += dtype(0.5) * sums_x[k]
-                adj_y += dtype(0.5) * sums_y[k]
-        for i in range(width - block * blocks):
-            x = wp.where(i == 0, 0, block * blocks + i)
+                for k in range(wp.static(block)):
+                    adj_x += dtype(0.5) * sums_x[k]
+                    adj_y += dtype(0.5) * sums_y[k]
+        for i in range(singles):
+            x = wp.where(i == 0, 0, width - singles + i)
             dx, dy = slopes(luminance, b, y, x)
             residual = motion[b, 0] * dx + motion[b, 1] * dy + events_image[b, y, x]
             adj_residual = factor * mask[b, y, x] * residual

@@ -39,6 +39,22 @@ def make_slopes(dtype: type) -> wp.Function:
 
 
 @cache
+def make_without_first(dtype: type, block: int) -> wp.Function:
+    """Build what makes the first ``count`` of neighbours 0: those that a sum has from the block before."""
+    vec_block = vector(block, dtype)
+
+    @wp.func
+    def without_first(values: vec_block, count: int):
+        rest = values
+        for k in range(wp.static(block)):
+            if k < count:
+                rest[k] = dtype(0.0)
+        return rest
+
+    return without_first
+
+
+@cache
 def make_residual_of_pixel(dtype: type) -> wp.Function:
     """Build the residual at one pixel."""
     slopes = make_slopes(dtype)
