@@ -8,7 +8,7 @@ with the residual of ``residual.py``, which is not written down.  Adjoint, for a
 
 which is the adjoint of the residual too: those in L and m follow from it as in ``residual.py``, m's on the
 way, L's in a second pass that reads what the first one has to write anyway.  In one pass, with the residual
-of four neighbours found again, it takes four times as long.
+of four neighbours found again, it takes several times as long.
 
 A thread takes a row by blocks of neighbouring pixels, as there, and leaves the row's share of the sums.
 """
@@ -24,9 +24,28 @@ from evqr_kernels.warp_backend.residual import (
     make_residual_of_block,
     make_residual_of_pixel,
     make_slopes,
-    make_without_first,
 )
 from evqr_kernels.warp_backend.sums import add_partials
+
+CPU_ADJOINT_BLOCK = 32
+"""Pixels that the adjoint takes together: it stores between loads, which wait for each other where arrays lie
+alike in their pages of memory."""
+
+
+@cache
+def make_without_first(dtype: type, block: int) -> wp.Function:
+    """Build what makes the first ``count`` of neighbours 0: those that a sum has from the block before."""
+    vec_block = vector(block, dtype)
+
+    @wp.func
+    def without_first(values: vec_block, count: int):
+        rest = values
+        for k in range(wp.static(block)):
+            if k < count:
+                rest[k] = dtype(0.0)
+        return rest
+
+    return without_first
 
 
 @cache
@@ -208,7 +227,7 @@ def brightness_cost_adjoint(
     adj_motion_out,
 ) -> None:  # fmt: skip
     """Launch all passes; overwrites."""
-    block = CPU_BLOCK if luminance.device.is_cpu else 1
+    block = CPU_ADJOINT_BLOCK if luminance.device.is_cpu else 1
     launch(
         make_cost_adjoint_rows(luminance.dtype, block),
         luminance.shape[:2],

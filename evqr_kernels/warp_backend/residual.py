@@ -10,8 +10,9 @@ the border by minus the border's own value:
     adj_m        = sum_{y, x} a (L_x, L_y)
     adj_E        = a
 
-A thread takes a row by blocks of neighbouring pixels, which is what a CPU's vector units want; its first
-pixel, and the last ones where no block with a neighbour on either side fits, one by one, as all are on a GPU.
+A thread takes a row by blocks of neighbouring pixels, which is what a CPU's vector units want, the last of
+which may overlap the one before; the first and the last pixel, which have no neighbour on one side, and all
+of a narrow image or on a GPU, it takes one by one; so do the adjoint's sums what is left of whole blocks.
 """
 
 from functools import cache
@@ -36,22 +37,6 @@ def make_slopes(dtype: type) -> wp.Function:
         return dtype(0.5) * (right - left), dtype(0.5) * (below - above)
 
     return slopes
-
-
-@cache
-def make_without_first(dtype: type, block: int) -> wp.Function:
-    """Build what makes the first ``count`` of neighbours 0: those that a sum has from the block before."""
-    vec_block = vector(block, dtype)
-
-    @wp.func
-    def without_first(values: vec_block, count: int):
-        rest = values
-        for k in range(wp.static(block)):
-            if k < count:
-                rest[k] = dtype(0.0)
-        return rest
-
-    return without_first
 
 
 @cache

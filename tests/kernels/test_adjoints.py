@@ -8,7 +8,7 @@ import pytest
 from . import cases
 from .helpers import assert_adjoint, assert_close, assert_differences, filled
 
-SMALL_IMAGES = [(1, 1), (1, 2), (2, 1), (2, 2), (1, 7), (3, 3), (2, 17), (3, 18), (3, 40)]
+SMALL_IMAGES = [(1, 1), (1, 2), (2, 1), (2, 2), (1, 7), (3, 3), (2, 17), (3, 18), (3, 40), (2, 75)]
 
 every_render = pytest.mark.parametrize("parameters", [6, 8])
 every_profile = pytest.mark.parametrize("sigma", [0.0, 0.1, 0.25, 0.9])
