@@ -15,6 +15,8 @@ from evqr_kernels.config import KernelSet, SplatConfig
 from evqr_kernels.ops import (
     align_poses,
     bin_events,
+    brightness_cost,
+    brightness_cost_adjoint,
     brightness_residual,
     brightness_residual_adjoint,
     clip_outliers,
@@ -53,6 +55,8 @@ __all__ = [
     "align_poses",
     "backend_names",
     "bin_events",
+    "brightness_cost",
+    "brightness_cost_adjoint",
     "brightness_residual",
     "brightness_residual_adjoint",
     "clip_outliers",

@@ -93,3 +93,12 @@ def brightness_residual(checks: ArrayChecks, luminance: Floats, events_image: Fl
     checks.floats("luminance", luminance, "B", "Y", "X")
     checks.floats("events_image", events_image, "B", "Y", "X")
     checks.floats("motion", motion, "B", 2)
+
+
+def brightness_cost(
+    checks: ArrayChecks, luminance: Floats, events_image: Floats, motion: Floats, mask: Floats | None
+) -> None:
+    """Check what `brightness_cost` and its adjoint share."""
+    brightness_residual(checks, luminance, events_image, motion)
+    if mask is not None:
+        checks.floats("mask", mask, "B", "Y", "X")

@@ -294,6 +294,20 @@ class KernelBackend(Protocol):
         """Adjoint of `brightness_residual` in luminance and motion; ``rows_out`` is (B, Y, 2)."""
         ...
 
+    def brightness_cost(
+        self, luminance: Array, events_image: Array, motion: Array, mask: Array, rows_out: Array,
+        cost_out: Array,
+    ) -> None:  # fmt: skip
+        """Half the weighted sum of squared residuals (B,); ``rows_out`` is (B, Y)."""
+        ...
+
+    def brightness_cost_adjoint(
+        self, luminance: Array, events_image: Array, motion: Array, mask: Array, adj_cost: Array,
+        rows_out: Array, adj_luminance_out: Array, adj_events_out: Array, adj_motion_out: Array,
+    ) -> None:  # fmt: skip
+        """Adjoint of `brightness_cost` in all but the mask; ``rows_out`` is (B, Y, 2)."""
+        ...
+
 
 OPS = (
     "bin_events",
@@ -326,6 +340,8 @@ OPS = (
     "render_code_adjoint",
     "brightness_residual",
     "brightness_residual_adjoint",
+    "brightness_cost",
+    "brightness_cost_adjoint",
 )
 """Names of the operations: the methods of a backend that compute."""
 

@@ -190,6 +190,26 @@ def brightness_residual() -> Rule:
 
 
 @functools.cache
+def brightness_cost() -> Rule:
+    """Give the rule of `evqr_kernels.brightness_cost`: in all its inputs but the mask."""
+
+    def adjoint(backend: Backend, given: Arrays, adj: Array, scratch: Arrays, adjoints: Arrays) -> None:
+        backend.brightness_cost_adjoint(*given, adj, *scratch, *adjoints)
+
+    return Rule(
+        op="brightness_cost",
+        inputs=("luminance", "events_image", "motion", "mask"),
+        require=arguments.brightness_cost,
+        varied=("luminance", "events_image", "motion"),
+        output=lambda sizes: sizes["luminance"][:1],
+        forward_scratch=lambda sizes: [sizes["luminance"][:2]],
+        adjoint_scratch=lambda sizes: [(*sizes["luminance"][:2], 2)],
+        forward=lambda backend, given, scratch, out: backend.brightness_cost(*given, *scratch, out),
+        adjoint=adjoint,
+    )
+
+
+@functools.cache
 def sample_moments() -> Rule:
     """Give the rule of `evqr_kernels.sample_moments`: in the image."""
 

@@ -36,6 +36,7 @@ from evqr_kernels.config import SplatConfig
 from evqr_kernels.differentiable import Rule, Shape
 
 __all__ = [
+    "brightness_cost",
     "brightness_residual",
     "deposit_events",
     "lag_operator",
@@ -169,6 +170,29 @@ def brightness_residual(luminance: jax.Array, events_image: jax.Array, motion: j
     the residual's adjoint as it is.
     """
     return _apply(differentiable.brightness_residual(), luminance, events_image, motion)
+
+
+def brightness_cost(
+    luminance: jax.Array, events_image: jax.Array, motion: jax.Array, *, mask: jax.Array | None = None
+) -> jax.Array:
+    """Half the weighted sum of squared residuals: `evqr_kernels.brightness_cost`.
+
+    Parameters
+    ----------
+    luminance, events_image, motion, mask
+        As there; weights of the mask below 0 are not looked for.
+
+    Returns
+    -------
+    cost : (B,) float [luminance^2]
+        A new one.  Differentiable in ``luminance``, ``events_image`` and ``motion``; a mask is held.
+
+    Notes
+    -----
+    The backward pass is `evqr_kernels.brightness_cost_adjoint`.
+    """
+    mask = jnp.ones_like(luminance) if mask is None else mask
+    return _apply(differentiable.brightness_cost(), luminance, events_image, motion, mask)
 
 
 def sample_moments(

@@ -35,6 +35,7 @@ from evqr_kernels.config import SplatConfig
 from evqr_kernels.differentiable import Rule, Shape
 
 __all__ = [
+    "brightness_cost",
     "brightness_residual",
     "deposit_events",
     "lag_operator",
@@ -169,6 +170,29 @@ def brightness_residual(luminance: Tensor, events_image: Tensor, motion: Tensor)
     the residual's adjoint as it is.
     """
     return _apply(differentiable.brightness_residual(), luminance, events_image, motion)
+
+
+def brightness_cost(
+    luminance: Tensor, events_image: Tensor, motion: Tensor, *, mask: Tensor | None = None
+) -> Tensor:
+    """Half the weighted sum of squared residuals: `evqr_kernels.brightness_cost`.
+
+    Parameters
+    ----------
+    luminance, events_image, motion, mask
+        As there; weights of the mask below 0 are not looked for.
+
+    Returns
+    -------
+    cost : (B,) float [luminance^2]
+        A new one.  Differentiable in ``luminance``, ``events_image`` and ``motion``; a mask is held.
+
+    Notes
+    -----
+    The backward pass is `evqr_kernels.brightness_cost_adjoint`.
+    """
+    mask = torch.ones_like(luminance) if mask is None else mask
+    return _apply(differentiable.brightness_cost(), luminance, events_image, motion, mask)
 
 
 def sample_moments(

@@ -473,6 +473,28 @@ def brightness_residual_adjoint(size: Size, rng, dtype) -> Problem:
     )
 
 
+def _cost(size: Size, rng, dtype) -> list:
+    """Give luminance, image of events, motion, and a mask that leaves some pixels out."""
+    inputs = brightness_residual(size, rng, dtype).inputs
+    return [*inputs, (rng.random(inputs[0].shape) < 0.7).astype(dtype)]
+
+
+def brightness_cost(size: Size, rng, dtype) -> Problem:
+    inputs = _cost(size, rng, dtype)
+    outputs = [np.zeros((size.batch, size.side), dtype), np.zeros(size.batch, dtype)]
+    pixels = inputs[0].size
+    return Problem("brightness_cost", inputs, outputs, pixels, 6 * pixels, scratch=1)
+
+
+def brightness_cost_adjoint(size: Size, rng, dtype) -> Problem:
+    inputs = [*_cost(size, rng, dtype), rng.normal(size=size.batch).astype(dtype)]
+    luminance, events, motion, *_ = inputs
+    rows = np.zeros((size.batch, size.side, 2), dtype)
+    outputs = [rows, np.zeros_like(luminance), np.zeros_like(events), np.zeros_like(motion)]
+    pixels = luminance.size
+    return Problem("brightness_cost_adjoint", inputs, outputs, pixels, 12 * pixels, scratch=1)
+
+
 def cost(size: Size, rng, dtype) -> Problem:
     """Gradients of half the sum of squared residuals: splat, render, residual and all their adjoints.
 
@@ -526,6 +548,8 @@ PROBLEMS: dict[str, Callable[..., Problem]] = {
         render_code_smooth_adjoint,
         brightness_residual,
         brightness_residual_adjoint,
+        brightness_cost,
+        brightness_cost_adjoint,
         cost,
         motion_correlation,
         surface_peak,

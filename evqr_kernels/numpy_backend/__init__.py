@@ -19,6 +19,7 @@ from evqr_kernels.numpy_backend import (
     banded,
     code,
     code_normal,
+    cost,
     images,
     lag,
     motion,
@@ -69,6 +70,8 @@ class NumpyBackend:
     render_code_adjoint = staticmethod(render.render_code_adjoint)
     brightness_residual = staticmethod(residual.brightness_residual)
     brightness_residual_adjoint = staticmethod(residual.brightness_residual_adjoint)
+    brightness_cost = staticmethod(cost.brightness_cost)
+    brightness_cost_adjoint = staticmethod(cost.brightness_cost_adjoint)
 
     def devices(self) -> tuple[str, ...]:
         """Name the CPU, the only one."""

@@ -79,6 +79,8 @@ from evqr_kernels.ops.normal import (
     solve_code_banded,
 )
 from evqr_kernels.ops.render import (
+    brightness_cost,
+    brightness_cost_adjoint,
     brightness_residual,
     brightness_residual_adjoint,
     render_code,
@@ -88,6 +90,8 @@ from evqr_kernels.ops.render import (
 __all__ = [
     "align_poses",
     "bin_events",
+    "brightness_cost",
+    "brightness_cost_adjoint",
     "brightness_residual",
     "brightness_residual_adjoint",
     "clip_outliers",

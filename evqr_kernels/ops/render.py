@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import numpy as np
+
 from evqr_kernels import arguments
 from evqr_kernels.checks import ArrayChecks, Floats
 from evqr_kernels.interop import any_arrays
@@ -213,3 +215,114 @@ def brightness_residual_adjoint(
     launch.run(*inputs, rows, launch.result(None, *luminance.shape), launch.result(None, batch, 2))
     adj_luminance, adj_motion = launch.results()
     return adj_luminance, adj_motion
+
+
+@any_arrays
+def brightness_cost(
+    luminance: Floats, events_image: Floats, motion: Floats, *, mask: Floats | None = None,
+    backend: str = "auto", device: str | None = None,
+) -> Floats:  # fmt: skip
+    """Half the sum of squared residuals over the pixels of a window, each with a weight.
+
+    ``1/2 sum of mask * brightness_residual(luminance, events_image, motion) ** 2``
+
+    Parameters
+    ----------
+    luminance, events_image : (B, Y, X) float [luminance]
+        As in `brightness_residual`.
+    motion : (B, 2) float [image px]
+        Displacement over the window.
+    mask : (B, Y, X) float [1]
+        Weight of each pixel: 1 used, 0 not used, though it must be finite.  By default all are used.
+    backend, device : str
+        See `evqr_kernels.ops`.
+
+    Returns
+    -------
+    cost : (B,) float [luminance^2]
+        That of each window.
+
+    Raises
+    ------
+    ValueError
+        As every operation, and if ``mask`` is below 0.
+
+    Notes
+    -----
+    Cost: seven reads and some eight multiply-adds a pixel, by one thread a row; the residual is not written.
+    Scratch of (B, Y), which a second pass adds up.
+
+    Determinism: bit for bit.
+    """
+    checks = ArrayChecks()
+    mask = _check_cost(checks, luminance, events_image, motion, mask)
+    launch = Launch("brightness_cost", checks, backend, device)
+    batch, height, _ = luminance.shape
+    inputs = launch.put(luminance, events_image, motion, mask)
+    launch.run(*inputs, launch.scratch(batch, height), launch.result(None, batch))
+    return launch.results()[0]
+
+
+@any_arrays
+def brightness_cost_adjoint(
+    luminance: Floats, events_image: Floats, motion: Floats, adj_cost: Floats, *, mask: Floats | None = None,
+    backend: str = "auto", device: str | None = None,
+) -> tuple[Floats, Floats, Floats]:  # fmt: skip
+    """Adjoint of `brightness_cost` in luminance, image of events and motion.
+
+    A mask says what is looked at, and is held: the derivative in it would be half the squared residual.
+
+    Parameters
+    ----------
+    luminance, events_image, motion, mask
+        As in `brightness_cost`.
+    adj_cost : (B,) float [loss / luminance^2]
+        Derivative of the loss with respect to the cost.
+    backend, device : str
+        See `evqr_kernels.ops`.
+
+    Returns
+    -------
+    adj_luminance, adj_events : (B, Y, X) float [loss / luminance]
+        Derivatives of the loss with respect to the luminance and to the image of events.
+    adj_motion : (B, 2) float [loss / image px]
+        Derivative of the loss with respect to the motion.
+
+    Raises
+    ------
+    ValueError
+        As `brightness_cost`.
+
+    Notes
+    -----
+    Cost: two passes of one thread a row, some ten multiply-adds and two writes a pixel: the residual is found
+    anew, and written once, weighted, as the derivative in the image of events.  Scratch of (B, Y, 2), which a
+    third pass adds up.
+
+    Determinism: bit for bit.
+    """
+    checks = ArrayChecks()
+    mask = _check_cost(checks, luminance, events_image, motion, mask)
+    checks.floats("adj_cost", adj_cost, "B")
+    launch = Launch("brightness_cost_adjoint", checks, backend, device)
+    batch, height, _ = luminance.shape
+    inputs = launch.put(luminance, events_image, motion, mask, adj_cost)
+    rows = launch.scratch(batch, height, 2)
+    image = luminance.shape
+    launch.run(
+        *inputs, rows, launch.result(None, *image), launch.result(None, *image), launch.result(None, batch, 2)
+    )
+    adj_luminance, adj_events, adj_motion = launch.results()
+    return adj_luminance, adj_events, adj_motion
+
+
+def _check_cost(
+    checks: ArrayChecks, luminance: Floats, events_image: Floats, motion: Floats, mask: Floats | None
+) -> Floats:
+    """Check the arguments of the cost, values included; give the mask, made where there is none."""
+    arguments.brightness_cost(checks, luminance, events_image, motion, mask)
+    if mask is None:
+        return np.ones_like(luminance)
+    if mask.size:
+        checks.at_least("mask", float(mask.min()), 0.0)
+    return mask

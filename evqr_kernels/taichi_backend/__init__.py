@@ -19,6 +19,7 @@ from evqr_kernels.taichi_backend import (
     banded,
     code,
     code_normal,
+    cost,
     images,
     lag,
     lag_adjoint,
@@ -80,6 +81,8 @@ class TaichiBackend:
     render_code_adjoint = staticmethod(render_adjoint.render_code_adjoint)
     brightness_residual = staticmethod(residual.brightness_residual)
     brightness_residual_adjoint = staticmethod(residual.brightness_residual_adjoint)
+    brightness_cost = staticmethod(cost.brightness_cost)
+    brightness_cost_adjoint = staticmethod(cost.brightness_cost_adjoint)
 
     def __init__(self) -> None:
         self._loaded: set[KernelSet] = set()

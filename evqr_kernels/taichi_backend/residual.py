@@ -81,10 +81,49 @@ def beyond(adj: ti.template(), b, y, x):
 
 
 @cache
+def make_adjoint_of_row(dtype, block: int):
+    """Build what writes a row of the adjoint in the luminance, for a given one of the residual."""
+
+    @ti.func
+    def adjoint_of_row(adj: ti.template(), motion: ti.template(), b, y, out: ti.template()):
+        half_x = dtype(0.5) * motion[b, 0]
+        half_y = dtype(0.5) * motion[b, 1]
+        from_above, from_below = half_y, -half_y
+        width = adj.shape[2]
+        row = row_of(adj, b, y)
+        above, below = row - width, row + width
+        if y == 0:
+            above = row
+            from_above = -from_above
+        if y == adj.shape[1] - 1:
+            below = row
+            from_below = -from_below
+        blocks = ti.max(width - 2, 0) // block
+        for k in range(blocks):
+            x = 1 + block * k
+            at, here = run_at(row + x - 1), run_at(row + x)
+            up, down = run_at(above + x), run_at(below + x)
+            value = ti.Vector.zero(dtype, block)
+            for p in ti.static(range(block)):
+                along_y = from_above * adj[0, 0, up + p] + from_below * adj[0, 0, down + p]
+                value[p] = half_x * (adj[0, 0, at + p] - adj[0, 0, at + p + 2]) + along_y
+            for p in ti.static(range(block)):
+                out[0, 0, here + p] = value[p]
+        for k in range(width - block * blocks):  # the first pixel, and the last ones
+            x = ti.select(k == 0, 0, block * blocks + k)
+            along_x = beyond(adj, b, y, x - 1) - beyond(adj, b, y, x + 1)
+            along_y = beyond(adj, b, y - 1, x) - beyond(adj, b, y + 1, x)
+            out[b, y, x] = half_x * along_x + half_y * along_y
+
+    return adjoint_of_row
+
+
+@cache
 def make_brightness_residual_adjoint(dtype):
     """Build the adjoint kernel; one thread per row, in blocks whose sums a CPU too has the registers for."""
     block = GPU_BLOCK
     slopes = make_slopes(dtype)
+    adjoint_of_row = make_adjoint_of_row(dtype, block)
 
     @ti.kernel
     def brightness_residual_adjoint(
@@ -95,19 +134,10 @@ def make_brightness_residual_adjoint(dtype):
         adj_luminance_out: array(dtype, 3),
     ):
         for b, y in ti.ndrange(luminance.shape[0], luminance.shape[1]):
-            half_x = dtype(0.5) * motion[b, 0]
-            from_above = dtype(0.5) * motion[b, 1]
-            from_below = -from_above
             width = luminance.shape[2]
+            above = row_of(luminance, b, ti.max(y - 1, 0))
+            below = row_of(luminance, b, ti.min(y + 1, luminance.shape[1] - 1))
             row = row_of(luminance, b, y)
-            above = row - width
-            below = row + width
-            if y == 0:
-                above = row
-                from_above = -from_above
-            if y == luminance.shape[1] - 1:
-                below = row
-                from_below = -from_below
             sums_x = ti.Vector.zero(dtype, block)
             sums_y = ti.Vector.zero(dtype, block)
             blocks = ti.max(width - 2, 0) // block
@@ -117,16 +147,6 @@ def make_brightness_residual_adjoint(dtype):
                 here = run_at(row + x)
                 up = run_at(above + x)
                 down = run_at(below + x)
-                value = ti.Vector.zero(dtype, block)
-                for p in ti.static(range(block)):
-                    along_y = (
-                        from_above * adj_residual[0, 0, up + p] + from_below * adj_residual[0, 0, down + p]
-                    )
-                    value[p] = (
-                        half_x * (adj_residual[0, 0, at + p] - adj_residual[0, 0, at + p + 2]) + along_y
-                    )
-                for p in ti.static(range(block)):
-                    adj_luminance_out[0, 0, here + p] = value[p]
                 adj = ti.Vector([adj_residual[0, 0, here + p] for p in range(block)])
                 for p in ti.static(range(block)):
                     sums_x[p] += adj[p] * (luminance[0, 0, at + p + 2] - luminance[0, 0, at + p])
@@ -139,11 +159,9 @@ def make_brightness_residual_adjoint(dtype):
                 dx, dy = slopes(luminance, b, y, x)
                 adj_x += adj_residual[b, y, x] * dx
                 adj_y += adj_residual[b, y, x] * dy
-                along_x = beyond(adj_residual, b, y, x - 1) - beyond(adj_residual, b, y, x + 1)
-                along_y = beyond(adj_residual, b, y - 1, x) - beyond(adj_residual, b, y + 1, x)
-                adj_luminance_out[b, y, x] = dtype(0.5) * (motion[b, 0] * along_x + motion[b, 1] * along_y)
             rows_out[b, y, 0] = adj_x
             rows_out[b, y, 1] = adj_y
+            adjoint_of_row(adj_residual, motion, b, y, adj_luminance_out)
 
     return brightness_residual_adjoint
 

@@ -21,6 +21,7 @@ from evqr_kernels.warp_backend import (
     banded,
     code,
     code_normal,
+    cost,
     images,
     lag,
     lag_adjoint,
@@ -80,6 +81,8 @@ class WarpBackend:
     render_code_adjoint = staticmethod(render_adjoint.render_code_adjoint)
     brightness_residual = staticmethod(residual.brightness_residual)
     brightness_residual_adjoint = staticmethod(residual.brightness_residual_adjoint)
+    brightness_cost = staticmethod(cost.brightness_cost)
+    brightness_cost_adjoint = staticmethod(cost.brightness_cost_adjoint)
 
     def __init__(self) -> None:
         level = wp.config.log_level
@@ -190,16 +193,19 @@ def _modules(kernels: KernelSet, device: str) -> list[wp.Module]:
         pull.make_pull_modules(f32),
         *solve.make_kernels(f32, on_cpu=device == "cpu"),
         *([replay.run_sequence] if device == "cpu" else []),
-        *(kernel for cfg in kernels.splats for kernel in _splat_kernels(cfg)),
+        *(kernel for cfg in kernels.splats for kernel in _splat_kernels(cfg, on_cpu=device == "cpu")),
     ]
     return list(dict.fromkeys(kernel.module for kernel in made))
 
 
-def _splat_kernels(cfg: SplatConfig) -> list[wp.Kernel]:
+def _splat_kernels(cfg: SplatConfig, *, on_cpu: bool) -> list[wp.Kernel]:
     """List the kernels of a splat and its adjoint, for motions of two and of six parameters."""
-    makers = splat.make_splat_events, splat_adjoint.make_splat_events_adjoint
-    kernels = [make(wp.float32, cfg, parameters) for make in makers for parameters in (2, 6)]
-    return [*kernels, sums.make_add_partials(wp.float32)]
+    f32, columns = wp.float32, 2 * cfg.reach + 1
+    kernels = [sums.make_add_partials(f32)]
+    for parameters in (2, 6):
+        kernels.append(splat.make_splat_events(f32, cfg, parameters))
+        kernels.append(splat_adjoint.make_splat_events_adjoint(f32, cfg, parameters, columns, on_cpu))
+    return kernels
 
 
 def load() -> WarpBackend:

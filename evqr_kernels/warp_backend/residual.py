@@ -10,8 +10,9 @@ the border by minus the border's own value:
     adj_m        = sum_{y, x} a (L_x, L_y)
     adj_E        = a
 
-A thread takes a row by blocks of neighbouring pixels, which is what a CPU's vector units want; its first
-pixel, and the last ones where no block with a neighbour on either side fits, one by one, as all are on a GPU.
+A thread takes a row by blocks of neighbouring pixels, which is what a CPU's vector units want, the last of
+which may overlap the one before; the first and the last pixel, which have no neighbour on one side, and all
+of a narrow image or on a GPU, it takes one by one; so do the adjoint's sums what is left of whole blocks.
 """
 
 from functools import cache
@@ -39,13 +40,61 @@ def make_slopes(dtype: type) -> wp.Function:
 
 
 @cache
+def make_residual_of_pixel(dtype: type) -> wp.Function:
+    """Build the residual at one pixel."""
+    slopes = make_slopes(dtype)
+
+    @wp.func
+    def residual_of_pixel(
+        luminance: wp.array3d(dtype=dtype),
+        events_image: wp.array3d(dtype=dtype),
+        motion: wp.array2d(dtype=dtype),
+        b: int,
+        y: int,
+        x: int,
+    ):
+        dx, dy = slopes(luminance, b, y, x)
+        return motion[b, 0] * dx + motion[b, 1] * dy + events_image[b, y, x]
+
+    return residual_of_pixel
+
+
+@cache
+def make_residual_of_block(dtype: type, block: int) -> wp.Function:
+    """Build the residual at neighbouring pixels of a row, all of which have one on either side in it."""
+    vec_block = vector(block, dtype)
+
+    @wp.func
+    def residual_of_block(
+        luminance_blocks: wp.array3d(dtype=vec_block),
+        events_blocks: wp.array3d(dtype=vec_block),
+        motion: wp.array2d(dtype=dtype),
+        b: int,
+        y: int,
+        x: int,
+    ):
+        above = wp.max(y - 1, 0)
+        below = wp.min(y + 1, luminance_blocks.shape[1] - 1)
+        half_x = dtype(0.5) * motion[b, 0]
+        half_y = dtype(0.5) * motion[b, 1]
+        # in another order the compiler takes the pixels of a block one by one
+        along_x = luminance_blocks[b, y, x + 1] - luminance_blocks[b, y, x - 1]
+        across = half_x * along_x + events_blocks[b, y, x]
+        along_y = luminance_blocks[b, below, x] - luminance_blocks[b, above, x]
+        return half_y * along_y + across
+
+    return residual_of_block
+
+
+@cache
 def make_brightness_residual(dtype: type, block: int) -> wp.Kernel:
     """Build the forward kernel; launch: one thread per row.
 
     ``.._blocks``: `neighbours` of the array before.
     """
     vec_block = vector(block, dtype)
-    slopes = make_slopes(dtype)
+    residual_of_pixel = make_residual_of_pixel(dtype)
+    residual_of_block = make_residual_of_block(dtype, block)
 
     @wp.kernel(module=module_of(f"residual_{block}", dtype))
     def brightness_residual(
@@ -59,22 +108,18 @@ def make_brightness_residual(dtype: type, block: int) -> wp.Kernel:
     ):
         b, y = wp.tid()
         width = luminance.shape[2]
-        blocks = wp.int32(0)
+        singles = width
         if wp.static(block > 1):
-            above = wp.max(y - 1, 0)
-            below = wp.min(y + 1, luminance.shape[1] - 1)
-            half_x = dtype(0.5) * motion[b, 0]
-            half_y = dtype(0.5) * motion[b, 1]
-            blocks = wp.max(width - 2, 0) // block
-            for k in range(blocks):
-                x = 1 + block * k
-                along_x = luminance_blocks[b, y, x + 1] - luminance_blocks[b, y, x - 1]
-                along_y = luminance_blocks[b, below, x] - luminance_blocks[b, above, x]
-                residual_blocks_out[b, y, x] = half_x * along_x + half_y * along_y + events_blocks[b, y, x]
-        for i in range(width - block * blocks):
-            x = wp.where(i == 0, 0, block * blocks + i)
-            dx, dy = slopes(luminance, b, y, x)
-            residual_out[b, y, x] = motion[b, 0] * dx + motion[b, 1] * dy + events_image[b, y, x]
+            if width - 2 >= block:
+                singles = wp.int32(2)
+                for k in range((width - 3 + block) // block):
+                    x = wp.min(1 + block * k, width - 1 - block)  # the last block overlaps the one before
+                    residual_blocks_out[b, y, x] = residual_of_block(
+                        luminance_blocks, events_blocks, motion, b, y, x
+                    )
+        for i in range(singles):
+            x = wp.where(i == 0, 0, width - singles + i)
+            residual_out[b, y, x] = residual_of_pixel(luminance, events_image, motion, b, y, x)
 
     return brightness_residual
 
@@ -94,10 +139,9 @@ def brightness_residual(luminance, events_image, motion, residual_out) -> None:
 
 
 @cache
-def make_brightness_residual_adjoint(dtype: type, block: int) -> wp.Kernel:
-    """Build the adjoint kernel; launch and blocks as forward."""
+def make_adjoint_of_row(dtype: type, block: int) -> wp.Function:
+    """Build what writes a row of the adjoint in the luminance, for a given one of the residual."""
     vec_block = vector(block, dtype)
-    slopes = make_slopes(dtype)
 
     @wp.func
     def beyond(adj: wp.array3d(dtype=dtype), b: int, y: int, x: int) -> dtype:
@@ -107,6 +151,52 @@ def make_brightness_residual_adjoint(dtype: type, block: int) -> wp.Kernel:
         if row != y or column != x:
             value = -value
         return value
+
+    @wp.func
+    def adjoint_of_row(
+        adj: wp.array3d(dtype=dtype),
+        adj_blocks: wp.array3d(dtype=vec_block),
+        motion: wp.array2d(dtype=dtype),
+        b: int,
+        y: int,
+        out: wp.array3d(dtype=dtype),
+        blocks_out: wp.array3d(dtype=vec_block),
+    ):
+        width = adj.shape[2]
+        half_x = dtype(0.5) * motion[b, 0]
+        half_y = dtype(0.5) * motion[b, 1]
+        singles = width
+        if wp.static(block > 1):
+            if width - 2 >= block:
+                singles = wp.int32(2)
+                above = wp.max(y - 1, 0)
+                below = wp.min(y + 1, adj.shape[1] - 1)
+                from_above = half_y
+                from_below = -half_y
+                if above == y:
+                    from_above = -from_above
+                if below == y:
+                    from_below = -from_below
+                for k in range((width - 3 + block) // block):
+                    x = wp.min(1 + block * k, width - 1 - block)  # the last block overlaps the one before
+                    along_x = adj_blocks[b, y, x - 1] - adj_blocks[b, y, x + 1]
+                    along_y = from_above * adj_blocks[b, above, x] + from_below * adj_blocks[b, below, x]
+                    blocks_out[b, y, x] = half_x * along_x + along_y
+        for i in range(singles):
+            x = wp.where(i == 0, 0, width - singles + i)
+            left_right = beyond(adj, b, y, x - 1) - beyond(adj, b, y, x + 1)
+            up_down = beyond(adj, b, y - 1, x) - beyond(adj, b, y + 1, x)
+            out[b, y, x] = half_x * left_right + half_y * up_down
+
+    return adjoint_of_row
+
+
+@cache
+def make_brightness_residual_adjoint(dtype: type, block: int) -> wp.Kernel:
+    """Build the adjoint kernel; launch and blocks as forward."""
+    vec_block = vector(block, dtype)
+    slopes = make_slopes(dtype)
+    adjoint_of_row = make_adjoint_of_row(dtype, block)
 
     @wp.kernel(module=module_of(f"residual_{block}", dtype))
     def brightness_residual_adjoint(
@@ -127,13 +217,6 @@ def make_brightness_residual_adjoint(dtype: type, block: int) -> wp.Kernel:
         if wp.static(block > 1):
             above = wp.max(y - 1, 0)
             below = wp.min(y + 1, luminance.shape[1] - 1)
-            half_x = dtype(0.5) * motion[b, 0]
-            from_above = dtype(0.5) * motion[b, 1]
-            from_below = -from_above
-            if y == 0:
-                from_above = -from_above
-            if y == luminance.shape[1] - 1:
-                from_below = -from_below
             sums_x = vec_block()
             sums_y = vec_block()
             blocks = wp.max(width - 2, 0) // block
@@ -142,9 +225,6 @@ def make_brightness_residual_adjoint(dtype: type, block: int) -> wp.Kernel:
                 adj = adj_blocks[b, y, x]
                 sums_x += wp.cw_mul(adj, luminance_blocks[b, y, x + 1] - luminance_blocks[b, y, x - 1])
                 sums_y += wp.cw_mul(adj, luminance_blocks[b, below, x] - luminance_blocks[b, above, x])
-                along_x = adj_blocks[b, y, x - 1] - adj_blocks[b, y, x + 1]
-                along_y = from_above * adj_blocks[b, above, x] + from_below * adj_blocks[b, below, x]
-                adj_luminance_blocks_out[b, y, x] = half_x * along_x + along_y
             for k in range(wp.static(block)):
                 adj_x += dtype(0.5) * sums_x[k]
                 adj_y += dtype(0.5) * sums_y[k]
@@ -153,11 +233,9 @@ def make_brightness_residual_adjoint(dtype: type, block: int) -> wp.Kernel:
             dx, dy = slopes(luminance, b, y, x)
             adj_x += adj_residual[b, y, x] * dx
             adj_y += adj_residual[b, y, x] * dy
-            left_right = beyond(adj_residual, b, y, x - 1) - beyond(adj_residual, b, y, x + 1)
-            up_down = beyond(adj_residual, b, y - 1, x) - beyond(adj_residual, b, y + 1, x)
-            adj_luminance_out[b, y, x] = dtype(0.5) * (motion[b, 0] * left_right + motion[b, 1] * up_down)
         rows_out[b, y, 0] = adj_x
         rows_out[b, y, 1] = adj_y
+        adjoint_of_row(adj_residual, adj_blocks, motion, b, y, adj_luminance_out, adj_luminance_blocks_out)
 
     return brightness_residual_adjoint
 

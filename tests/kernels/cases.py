@@ -348,6 +348,26 @@ def brightness_residual_adjoint(rng, dtype):
     return Call("brightness_residual_adjoint", inputs, outputs, scratch=1)
 
 
+def brightness_cost(rng, dtype):
+    """Some pixels do not count, others count for more or less than one."""
+    inputs = brightness_residual(rng, dtype).inputs
+    mask = rng.uniform(0, 2, (B, Y, X)) * (rng.random((B, Y, X)) < 0.6)
+    return Call(
+        "brightness_cost", [*inputs, mask.astype(dtype)], [filled((B, Y), dtype), filled(B, dtype)], scratch=1
+    )
+
+
+def brightness_cost_adjoint(rng, dtype):
+    inputs = [*brightness_cost(rng, dtype).inputs, rng.normal(size=B).astype(dtype)]
+    outputs = [
+        filled((B, Y, 2), dtype),
+        filled((B, Y, X), dtype),
+        filled((B, Y, X), dtype),
+        filled((B, 2), dtype),
+    ]
+    return Call("brightness_cost_adjoint", inputs, outputs, scratch=1)
+
+
 CALLS = [
     bin_events,
     splat_events,
@@ -383,5 +403,7 @@ CALLS = [
     render_code_adjoint_tilted_smooth,
     brightness_residual,
     brightness_residual_adjoint,
+    brightness_cost,
+    brightness_cost_adjoint,
 ]
 """All operations but those that update an input in place, which have files of their own."""

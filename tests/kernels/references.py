@@ -126,6 +126,11 @@ def brightness_residual(xp, luminance, events_image, motion):
     return m[:, 0] * slope(luminance, 2) + m[:, 1] * slope(luminance, 1) + events_image
 
 
+def brightness_cost(xp, luminance, events_image, motion, mask):
+    residual = brightness_residual(xp, luminance, events_image, motion)
+    return 0.5 * (mask * residual * residual).sum((1, 2))
+
+
 def sample_moments(xp, image, image_idx, pose, points, table, active=None):
     height, width = image.shape[1:]
     rows, columns = (xp.arange(size, dtype=image.dtype)[None] for size in (height, width))

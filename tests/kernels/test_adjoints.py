@@ -1,4 +1,4 @@
-"""Hand-written adjoints of rendering, residual and moments: by dot product and by central differences."""
+"""Hand-written adjoints of rendering, residual, cost, moments: by dot product, by central differences."""
 
 import math
 
@@ -7,6 +7,8 @@ import pytest
 
 from . import cases
 from .helpers import assert_adjoint, assert_close, assert_differences, filled
+
+SMALL_IMAGES = [(1, 1), (1, 2), (2, 1), (2, 2), (1, 7), (3, 3), (2, 17), (3, 18), (3, 40), (2, 75)]
 
 every_render = pytest.mark.parametrize("parameters", [6, 8])
 every_profile = pytest.mark.parametrize("sigma", [0.0, 0.05, 0.25, 0.9])
@@ -118,7 +120,7 @@ def test_residual_in_the_luminance(placed, dtype, rng):
     assert_adjoint(call.run(placed)[0], back.inputs[2], call.inputs[0], adj_luminance)
 
 
-@pytest.mark.parametrize("shape", [(1, 1), (1, 2), (2, 1), (2, 2), (1, 7), (3, 3), (2, 17), (3, 18), (3, 40)])
+@pytest.mark.parametrize("shape", SMALL_IMAGES)
 def test_residual_of_small_images(shape, placed, dtype, rng):
     luminance, adj = rng.normal(size=(2, 1, *shape)).astype(dtype)
     motion = np.array([[0.7, -1.3]], dtype)
@@ -148,6 +150,70 @@ def test_residual_in_the_motion(placed, rng):
         return np.vdot(call.run(placed)[0], back.inputs[2])
 
     assert_differences(loss, motion, adj_motion, rng.normal(size=(3, cases.B, 2)))
+
+
+@pytest.mark.parametrize("shape", SMALL_IMAGES)
+def test_cost_is_that_of_the_residual(shape, placed, dtype, rng):
+    """And its adjoint that of the residual, for the residual times its weight."""
+    luminance, events_image = rng.normal(size=(2, 2, *shape)).astype(dtype)
+    mask = rng.uniform(0, 2, (2, *shape)).astype(dtype)
+    motion, adj_cost = rng.normal(size=(2, 2)).astype(dtype), np.array([1.5, -0.5], dtype)
+    given = [luminance, events_image, motion]
+    image, rows = filled((2, *shape), dtype), filled((2, shape[0], 2), dtype)
+    (residual,) = placed("brightness_residual", given, [image])
+    _, cost = placed("brightness_cost", [*given, mask], [filled((2, shape[0]), dtype), filled(2, dtype)])
+    assert_close(cost, 0.5 * (mask * residual * residual).sum(axis=(1, 2)))
+
+    adj = adj_cost[:, None, None] * mask * residual
+    _, *expected = placed("brightness_residual_adjoint", [luminance, motion, adj], [rows, image, motion])
+    _, adj_luminance, adj_events, adj_motion = placed(
+        "brightness_cost_adjoint", [*given, mask, adj_cost], [rows, image, image, filled((2, 2), dtype)]
+    )
+    assert_close(adj_events, adj)
+    if shape != (1, 1):
+        assert_close(adj_luminance, expected[0])
+        assert_close(adj_motion, expected[1])
+
+
+def test_cost_ignores_what_the_mask_leaves_out(placed, dtype, rng):
+    call, back = cases.brightness_cost(rng, dtype), cases.brightness_cost_adjoint(rng, dtype)
+    call.inputs[3][:, :, 9:] = 0
+    back.inputs[:4] = call.inputs
+    before, (_, adj_events, _) = call.run(placed), back.run(placed)
+    np.testing.assert_array_equal(adj_events[:, :, 9:], 0)
+    for image in call.inputs[:2]:
+        image[:, :, 10:] = 1e3  # column 9 is in the slopes of column 8
+    np.testing.assert_array_equal(call.run(placed), before)
+
+
+def test_cost_by_dot_product(placed, dtype, rng):
+    call, back = cases.brightness_cost(rng, dtype), cases.brightness_cost_adjoint(rng, dtype)
+    back.inputs[:4] = call.inputs
+    (cost,) = call.run(placed)
+    adj_luminance, adj_events, _ = back.run(placed)
+    # in luminance and events together the cost is a square: its derivative along them is twice itself
+    luminance, events_image = (array.astype(float) for array in call.inputs[:2])
+    along = np.vdot(luminance, adj_luminance) + np.vdot(events_image, adj_events)
+    size = np.abs(back.inputs[4] * cost).sum()
+    assert (
+        abs(along - 2 * np.vdot(back.inputs[4], cost.astype(float)))
+        <= {4: 1e-5, 8: 1e-12}[cost.itemsize] * size
+    )
+
+
+@pytest.mark.parametrize("name", ["luminance", "events_image", "motion"])
+def test_cost_by_differences(name, placed, rng):
+    call, back = cases.brightness_cost(rng, np.float64), cases.brightness_cost_adjoint(rng, np.float64)
+    back.inputs[:4] = call.inputs
+    place = ["luminance", "events_image", "motion"].index(name)
+    before = call.inputs[place]
+    gradient = back.run(placed)[place]
+
+    def loss(value):
+        call.inputs[place] = value
+        return np.vdot(call.run(placed)[0], back.inputs[4])
+
+    assert_differences(loss, before, gradient, rng.normal(size=(3, *before.shape)))
 
 
 def test_residual_of_a_ramp_is_its_slope(placed, dtype):

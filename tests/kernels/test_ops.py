@@ -74,6 +74,8 @@ GOOD = {
     "render_code_adjoint": ([f32(B, 6, 5), f32(B, 6), f32(B), f32(B, Y, X)], {}),
     "brightness_residual": ([f32(B, Y, X), f32(B, Y, X), f32(B, 2)], {}),
     "brightness_residual_adjoint": ([f32(B, Y, X), f32(B, 2), f32(B, Y, X)], {}),
+    "brightness_cost": ([f32(B, Y, X), f32(B, Y, X) + 1, f32(B, 2)], {}),
+    "brightness_cost_adjoint": ([f32(B, Y, X), f32(B, Y, X) + 1, f32(B, 2), f32(B) + 1], {}),
 }
 
 
@@ -128,6 +130,8 @@ def test_results_are_those_of_the_backend(op, rng, spec):
         "pull_modules": {"certainty": 2.0},
     }
     options = options.get(op, {})
+    if op.startswith("brightness_cost"):
+        options = {"mask": arrays.pop(3)}
     if op.startswith("splat"):
         options = {"lag": arrays.pop(6), "frame": arrays.pop(6)}
     if op.startswith("deposit"):
@@ -181,6 +185,15 @@ def test_inputs_that_are_read_only_are_read(name):
 def test_what_is_cut_out_of_a_wider_result_can_be_given_on(op):
     given = {"arg0": f32(4, Y, 7)} if op == "mix_images" else {"arg0": f32(B, Y, 7)}
     assert all(result.flags.c_contiguous for result in as_tuple(call(op, **given)))
+
+
+def test_without_a_mask_all_pixels_count(rng):
+    arrays = [rng.normal(size=shape) for shape in ((B, Y, X), (B, Y, X), (B, 2))]
+    cost = evqr_kernels.brightness_cost(*arrays, backend="numpy")
+    residual = evqr_kernels.brightness_residual(*arrays, backend="numpy")
+    np.testing.assert_allclose(cost, 0.5 * np.square(residual).sum(axis=(1, 2)), rtol=1e-14)
+    options = {"mask": np.ones((B, Y, X)), "backend": "numpy"}
+    np.testing.assert_array_equal(cost, evqr_kernels.brightness_cost(*arrays, **options))
 
 
 def test_inputs_are_left_alone():
@@ -359,6 +372,21 @@ BAD = [
         {"arg2": f32(3, 2)},
         ValueError,
         "motion must have shape (B, 2) with B = 2, got (3, 2)",
+    ),
+    ("brightness_cost", {"mask": f32(Y, X)}, ValueError, "mask must have shape (B, Y, X), got (9, 12)"),
+    ("brightness_cost", {"mask": f32(B, Y, X) - 1}, ValueError, "mask must be at least 0.0, got -1.0"),
+    ("brightness_cost", {"mask": f32(B, Y, X) + np.nan}, ValueError, "mask must be at least 0.0, got nan"),
+    (
+        "brightness_cost",
+        {"mask": np.ones((B, Y, X), bool)},
+        TypeError,
+        "mask must be float32 or float64, got bool",
+    ),
+    (
+        "brightness_cost_adjoint",
+        {"arg3": f32(3)},
+        ValueError,
+        "adj_cost must have shape (B,) with B = 2, got (3,)",
     ),
     ("brightness_residual", {"backend": "nothing"}, ValueError, "backend must be one of auto"),
     (
