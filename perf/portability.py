@@ -69,7 +69,10 @@ def factories() -> Iterator[tuple[str, Any]]:
 
 
 def build(dtype: Any, variants: dict[str, Any], cpu_only: dict[str, str]) -> dict[wp.Module, str]:
-    """Build all kernels of one precision; the modules that they are in, each with its file."""
+    """Build all kernels of one precision; the modules that they are in, each with its file.
+
+    ``variants``: values of parameters, each combined with each; under a file's name those that go together.
+    """
     modules = {}
     for file, make in factories():
         names = list(inspect.signature(make).parameters)[1:]

@@ -13,6 +13,8 @@ one more multiply-add a tap:
 
     e_i(j, k) = (g_j - lag d_x g'_j) g_k - lag d_y g_j g'_k          (j columns, k rows)
 
+CPUs add whole rows of it, all unrolled; GPUs strips (``splat_strips.py``).
+
 Adjoint, for adj = d loss / d image; lag and direction d are parameters, no derivative is taken with respect
 to them:
 
@@ -34,7 +36,7 @@ from evqr_kernels.warp_backend.language import (
 )
 from evqr_kernels.warp_backend.splat_profile import make_splat_taps
 from evqr_kernels.warp_backend.splat_strips import holds_rows, make_add_strips, strip_columns
-from evqr_kernels.warp_backend.transport import make_middle, make_transport, make_velocity
+from evqr_kernels.warp_backend.transport import make_lag_along, make_middle, make_transport, make_velocity
 
 CHUNK = 64
 """Events that one thread takes one after another: what belongs to the window is looked up once."""
@@ -143,6 +145,7 @@ def make_splat_events(
     transport = make_transport(dtype)
     middle = make_middle(dtype)
     velocity = make_velocity(dtype, parameters)
+    lag_along = make_lag_along(dtype)
 
     @wp.kernel(
         module=module_of(
@@ -182,10 +185,8 @@ def make_splat_events(
         lag_px = lag[window, 0]
         if w < dtype(0.0):
             lag_px = lag[window, 1]
-        speed = wp.sqrt(motion_x * motion_x + motion_y * motion_y)
-        if speed > dtype(0.0):
-            lag_px /= speed
-        add_splat(image_out, rows_out, window, cx, cy, w, lag_px * motion_x, lag_px * motion_y)
+        lag_x, lag_y = lag_along(lag_px, motion_x, motion_y)
+        add_splat(image_out, rows_out, window, cx, cy, w, lag_x, lag_y)
 
     return splat_events
 

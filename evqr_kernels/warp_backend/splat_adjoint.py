@@ -8,8 +8,8 @@ with N, at the event, and lag the vector ``lag_i d``,
 
 so that S, its gradient and its second derivatives are all that is summed over pixels.
 
-The splat is separable: the pixels around an event are summed along columns first, with g, g' and g'' each,
-and what is left is one row for each of the three.
+The splat is separable: on CPUs the pixels around an event are summed along columns first, with g, g' and g''
+each, and what is left is one row for each of the three.  On GPUs: ``splat_strips.py``.
 """
 
 from functools import cache
@@ -31,6 +31,7 @@ from evqr_kernels.warp_backend.splat_profile import make_gauss_around, make_spla
 from evqr_kernels.warp_backend.splat_strips import holds_rows, make_gather_strips, strip_columns
 from evqr_kernels.warp_backend.sums import add_partials
 from evqr_kernels.warp_backend.transport import (
+    make_lag_along,
     make_middle,
     make_transport,
     make_velocity,
@@ -54,7 +55,7 @@ def make_row_or_nearest(dtype: type, columns: int) -> wp.Function:
 
 @cache
 def make_gather_rows(dtype: type, cfg: SplatConfig, columns: int) -> wp.Function:
-    """Build the function that gives adj_w and grad S - hess S lag, of an event at (cx, cy).
+    """Build the function that gives adj_w and grad S - hess S lag for an event at (cx, cy).
 
     ``rows``: `neighbours` of the image.  Near its sides the ``columns`` that are read are the last ones
     inside: pixels that are farther off than the splat reaches have profile 0.
@@ -66,10 +67,17 @@ def make_gather_rows(dtype: type, cfg: SplatConfig, columns: int) -> wp.Function
     shrink = wp.constant(dtype(cfg.gauss(1.0) ** 2))
     splat_tap = make_splat_tap(dtype, cfg)
     row_or_nearest = make_row_or_nearest(dtype, columns)
+    lag_along = make_lag_along(dtype)
 
     @wp.func
     def gather_rows(
-        rows: wp.array3d(dtype=vec_columns), window: int, cx: dtype, cy: dtype, lag_x: dtype, lag_y: dtype
+        rows: wp.array3d(dtype=vec_columns),
+        window: int,
+        cx: dtype,
+        cy: dtype,
+        lag_px: dtype,
+        motion_x: dtype,
+        motion_y: dtype,
     ):
         row = int(wp.floor(cy + dtype(0.5)))
         first = wp.clamp(int(wp.floor(cx + dtype(0.5))) - middle, 0, rows.shape[2] - 1)
@@ -117,6 +125,7 @@ def make_gather_rows(dtype: type, cfg: SplatConfig, columns: int) -> wp.Function
             left *= down
             up *= shrink
             down *= shrink
+        lag_x, lag_y = lag_along(lag_px, motion_x, motion_y)  # here: the sums leave no register for it
         return (
             value - lag_x * value_x - lag_y * value_y,
             value_x - lag_x * value_xx - lag_y * value_xy,
@@ -195,12 +204,7 @@ def make_splat_events_adjoint(
             ):
                 w = weight[e]
                 lag_px = wp.where(w < dtype(0.0), lag_off, lag_on)
-                speed = wp.sqrt(motion_x * motion_x + motion_y * motion_y)
-                if speed > dtype(0.0):
-                    lag_px /= speed
-                adj_w, slope_x, slope_y = gather(
-                    adj_rows, window, cx, cy, lag_px * motion_x, lag_px * motion_y
-                )
+                adj_w, slope_x, slope_y = gather(adj_rows, window, cx, cy, lag_px, motion_x, motion_y)
                 factor = t[e] * inverse_scale * w
                 adj = velocity_adjoint(factor * slope_x, factor * slope_y, dx, dy)
                 # the sums are in memory: no register is left for them, and `+=` would be atomic

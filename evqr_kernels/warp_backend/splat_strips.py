@@ -1,7 +1,8 @@
 """Splats on GPUs: strips of a few columns, one after another, each along a loop over its rows.
 
-What is held in registers, and how many instructions there are, does not grow with the splat's width.  CPUs,
-whose vectors hold a whole row, take all columns at once (``splat.py``, ``splat_adjoint.py``).
+What is held in registers, and how many instructions there are, does not grow with the splat's width: both
+loops end when a pixel is out of sight, a number of times that no compiler can know and unroll.  CPUs, whose
+vectors hold a whole row, take all columns at once (``splat.py``, ``splat_adjoint.py``).
 
 Only pixels inside the image are visited.  A strip that would end outside is moved back inside and leaves out
 the columns that it shares with the one before; columns beyond the splat have profile 0.
@@ -14,13 +15,14 @@ import warp as wp
 from evqr_kernels.config import SplatConfig
 from evqr_kernels.warp_backend.language import vector
 from evqr_kernels.warp_backend.splat_profile import make_splat_profile
+from evqr_kernels.warp_backend.transport import make_lag_along
 
 MOST_COLUMNS = 5
 """In a strip: the adjoint's sums of more would not fit in registers."""
 
 
 def holds_rows(device: wp.Device) -> bool:
-    """Whether the device takes all columns at once."""
+    """Whether kernels for the device take all columns of a splat at once, however wide it is."""
     return device.is_cpu
 
 
@@ -75,7 +77,7 @@ def make_add_strips(dtype: type, cfg: SplatConfig, columns: int) -> wp.Function:
 
 @cache
 def make_gather_strips(dtype: type, cfg: SplatConfig, columns: int) -> wp.Function:
-    """Build the function that gives adj_w and the slopes of `make_gather_rows` (``splat_adjoint.py``).
+    """Build the function that gives adj_w and grad S - hess S lag for an event at (cx, cy).
 
     ``rows``: `neighbours` of the image, ``columns`` of them.
     """
@@ -83,11 +85,19 @@ def make_gather_strips(dtype: type, cfg: SplatConfig, columns: int) -> wp.Functi
     radius = wp.constant(dtype(cfg.radius_px))
     vec_columns = vector(columns, dtype)
     splat_profile = make_splat_profile(dtype, cfg)
+    lag_along = make_lag_along(dtype)
 
     @wp.func
     def gather_strips(
-        rows: wp.array3d(dtype=vec_columns), window: int, cx: dtype, cy: dtype, lag_x: dtype, lag_y: dtype
+        rows: wp.array3d(dtype=vec_columns),
+        window: int,
+        cx: dtype,
+        cy: dtype,
+        lag_px: dtype,
+        motion_x: dtype,
+        motion_y: dtype,
     ):
+        lag_x, lag_y = lag_along(lag_px, motion_x, motion_y)
         adj_w = dtype(0.0)
         slope_x = dtype(0.0)
         slope_y = dtype(0.0)
