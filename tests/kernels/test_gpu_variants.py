@@ -102,12 +102,11 @@ def test_wide_splats_as_on_gpus(case, epsilon_px, warp_as_on_gpus, spec, dtype, 
     assert_same(call, warp_as_on_gpus, spec)
 
 
-@pytest.mark.parametrize("shape", [(1, 1), (1, 9), (9, 1), (2, 3), (3, 4), (5, 6)])
-@pytest.mark.parametrize("epsilon_px", [0.8, 2.0])
+@pytest.mark.parametrize("shape", [(1, 1), (9, 1), (1, 9), (4, 3), (5, 6)])
 @pytest.mark.parametrize("case", [cases.splat_events, cases.splat_events_adjoint])
-def test_splats_wider_than_the_image_as_on_gpus(case, epsilon_px, shape, warp_as_on_gpus, spec, dtype, rng):
+def test_splats_wider_than_the_image_as_on_gpus(case, shape, warp_as_on_gpus, spec, dtype, rng):
     call = case(rng, dtype)
-    call.tail = (SplatConfig(epsilon_px=epsilon_px),)
+    call.tail = (SplatConfig(epsilon_px=2.0),)
     call.inputs[:2] = rng.uniform(-3, np.add(shape[::-1], 2)[:, None], (2, len(call.inputs[0]))).astype(dtype)
     image = rng.normal(size=(cases.B, *shape)).astype(dtype)
     if case is cases.splat_events:
