@@ -69,19 +69,24 @@ def factories() -> Iterator[tuple[str, Any]]:
 
 
 def build(dtype: Any, variants: dict[str, Any], cpu_only: dict[str, str]) -> dict[wp.Module, str]:
-    """Build all kernels of one precision; the modules that they are in, each with its file."""
+    """Build all kernels of one precision; the modules that they are in, each with its file.
+
+    ``variants``: values of parameters, each combined with each; under a file's name those that go together.
+    """
     modules = {}
     for file, make in factories():
         names = list(inspect.signature(make).parameters)[1:]
-        choices = [variants.get(f"{file}.{name}", variants.get(name)) for name in names]
-        if None in choices:
-            missing = names[choices.index(None)]
-            sys.exit(f"{SETTINGS.name}: variants must give values for {file}.{missing}")
-        for values in itertools.product(*choices):
-            given = [SplatConfig(**value) if isinstance(value, dict) else value for value in values]
-            kernel = make(dtype, *given)
-            if kernel.func.__name__ not in cpu_only:
-                modules[kernel.module] = file
+        for together in variants.get(file, [{}]):
+            given = {**variants, **{f"{file}.{name}": [value] for name, value in together.items()}}
+            choices = [given.get(f"{file}.{name}", given.get(name)) for name in names]
+            if None in choices:
+                missing = names[choices.index(None)]
+                sys.exit(f"{SETTINGS.name}: variants must give values for {file}.{missing}")
+            for values in itertools.product(*choices):
+                arguments = [SplatConfig(**value) if isinstance(value, dict) else value for value in values]
+                kernel = make(dtype, *arguments)
+                if kernel.func.__name__ not in cpu_only:
+                    modules[kernel.module] = file
     return modules
 
 

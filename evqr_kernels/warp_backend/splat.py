@@ -13,6 +13,8 @@ one more multiply-add a tap:
 
     e_i(j, k) = (g_j - lag d_x g'_j) g_k - lag d_y g_j g'_k          (j columns, k rows)
 
+CPUs add whole rows of it, all unrolled; GPUs strips (``splat_strips.py``).
+
 Adjoint, for adj = d loss / d image; lag and direction d are parameters, no derivative is taken with respect
 to them:
 
@@ -32,7 +34,9 @@ from evqr_kernels.warp_backend.language import (
     neighbours,
     vector,
 )
-from evqr_kernels.warp_backend.transport import make_middle, make_transport, make_velocity
+from evqr_kernels.warp_backend.splat_profile import make_splat_taps
+from evqr_kernels.warp_backend.splat_strips import holds_rows, make_add_strips, strip_columns
+from evqr_kernels.warp_backend.transport import make_lag_along, make_middle, make_transport, make_velocity
 
 CHUNK = 64
 """Events that one thread takes one after another: what belongs to the window is looked up once."""
@@ -82,56 +86,72 @@ def bin_events(x, y, weight, window_ptr, reduction: float, image_out) -> None:
 
 
 @cache
-def make_splat_taps(dtype: type, cfg: SplatConfig) -> wp.Function:
-    """Build the function that gives the Gaussian, g and g' at the taps around an event.
+def make_add_rows(dtype: type, cfg: SplatConfig) -> wp.Function:
+    """Build the function that adds w e(x - c) to the image, for the lag (lag_x, lag_y), a row at a time.
 
-    The event is ``offset`` px off the middle one.
+    ``rows``: `neighbours` of the image, as many as there are taps.
     """
-    reach = cfg.reach
-    vec_taps = vector(2 * reach + 1, dtype)
-    gauss_at_taps = wp.constant(vec_taps(*(cfg.norm * cfg.gauss(k) for k in range(-reach, reach + 1))))
-    inverse_variance = wp.constant(dtype(1.0 / cfg.epsilon_px**2))
-    inverse_radius_sq = wp.constant(dtype(1.0 / cfg.radius_px**2))
-
-    @wp.func
-    def splat_taps(offset: dtype):
-        # exp(-(k - f)^2 / 2 eps^2) = exp(-f^2 / 2 eps^2) exp(f / eps^2)^k exp(-k^2 / 2 eps^2): two exps, not
-        # one a tap
-        gauss = vec_taps()
-        value = vec_taps()
-        slope = vec_taps()
-        up = wp.exp(offset * inverse_variance)
-        down = dtype(1.0) / up
-        right = wp.exp(dtype(-0.5) * offset * offset * inverse_variance)
-        left = right
-        for k in range(wp.static(reach + 1)):
-            gauss[reach + k] = right * gauss_at_taps[reach + k]
-            gauss[reach - k] = left * gauss_at_taps[reach - k]
-            right *= up
-            left *= down
-        for k in range(wp.static(2 * reach + 1)):
-            r = dtype(k - reach) - offset
-            q = wp.max(dtype(1.0) - r * r * inverse_radius_sq, dtype(0.0))
-            value[k] = gauss[k] * q * q
-            slope[k] = -r * gauss[k] * q * (q * inverse_variance + dtype(4.0) * inverse_radius_sq)
-        return gauss, value, slope
-
-    return splat_taps
-
-
-@cache
-def make_splat_events(dtype: type, cfg: SplatConfig, parameters: int) -> wp.Kernel:
-    """Build the kernel for a precision, a shape of splat and a motion; launch: one thread per event."""
     reach = cfg.reach
     taps = 2 * reach + 1
     vec_taps = vector(taps, dtype)
-    vec_parameters = vector(parameters, dtype)
     splat_taps = make_splat_taps(dtype, cfg)
+
+    @wp.func
+    def add_rows(
+        image: wp.array3d(dtype=dtype),
+        rows: wp.array3d(dtype=vec_taps),
+        window: int,
+        cx: dtype,
+        cy: dtype,
+        w: dtype,
+        lag_x: dtype,
+        lag_y: dtype,
+    ):
+        column = int(wp.floor(cx + dtype(0.5)))
+        row = int(wp.floor(cy + dtype(0.5)))
+        height = image.shape[1]
+        width = image.shape[2]
+        _gauss_x, gx, sx = splat_taps(cx - dtype(column))
+        _gauss_y, gy, sy = splat_taps(cy - dtype(row))
+        along = w * (gx - lag_x * sx)
+        across = (-w * lag_y) * gx
+        if row >= reach and column >= reach and row < height - reach and column < width - reach:
+            for j in range(wp.static(taps)):
+                wp.atomic_add(rows, window, row + j - reach, column - reach, gy[j] * along + sy[j] * across)
+        else:
+            for j in range(taps):
+                for i in range(taps):
+                    yy = row + j - reach
+                    xx = column + i - reach
+                    if yy >= 0 and yy < height and xx >= 0 and xx < width:
+                        wp.atomic_add(image, window, yy, xx, gy[j] * along[i] + sy[j] * across[i])
+
+    return add_rows
+
+
+@cache
+def make_splat_events(
+    dtype: type, cfg: SplatConfig, parameters: int, columns: int, on_cpu: bool
+) -> wp.Kernel:
+    """Build the kernel for a precision, a shape of splat and a motion; launch: one thread per event.
+
+    ``columns``: pixels of a row that are added to at once.
+    ``on_cpu``: the variant for CPUs, where these are all that a splat reaches.
+    """
+    margin = 2 * cfg.reach + 1
+    vec_columns = vector(columns, dtype)
+    vec_parameters = vector(parameters, dtype)
+    add_splat = make_add_rows(dtype, cfg) if on_cpu else make_add_strips(dtype, cfg, columns)
     transport = make_transport(dtype)
     middle = make_middle(dtype)
     velocity = make_velocity(dtype, parameters)
+    lag_along = make_lag_along(dtype)
 
-    @wp.kernel(module=module_of(f"splat_{parameters}_{taps}_{cfg.epsilon_px:g}_{cfg.radius_px:g}", dtype))
+    @wp.kernel(
+        module=module_of(
+            f"splat_{parameters}_{columns}_{cfg.epsilon_px:g}_{cfg.radius_px:g}{'_on_cpu' * on_cpu}", dtype
+        )
+    )
     def splat_events(
         x: wp.array(dtype=dtype),
         y: wp.array(dtype=dtype),
@@ -142,7 +162,7 @@ def make_splat_events(dtype: type, cfg: SplatConfig, parameters: int) -> wp.Kern
         lag: wp.array2d(dtype=dtype),
         frame: wp.array2d(dtype=dtype),
         image_out: wp.array3d(dtype=dtype),
-        rows_out: wp.array3d(dtype=vec_taps),
+        rows_out: wp.array3d(dtype=vec_columns),
     ):
         e = wp.tid()
         window = wp.lower_bound(window_ptr, e + 1) - 1
@@ -153,48 +173,34 @@ def make_splat_events(dtype: type, cfg: SplatConfig, parameters: int) -> wp.Kern
         motion_x, motion_y = velocity(motion[window], dx, dy)
         cx = transport(x[e], t[e], motion_x, frame[window, 0], inverse_scale)
         cy = transport(y[e], t[e], motion_y, frame[window, 1], inverse_scale)
-        height = image_out.shape[1]
-        width = image_out.shape[2]
         # written so that it also holds for NaN
         if not (
-            cx > dtype(-taps) and cy > dtype(-taps) and cx < dtype(width + taps) and cy < dtype(height + taps)
+            cx > dtype(-margin)
+            and cy > dtype(-margin)
+            and cx < dtype(image_out.shape[2] + margin)
+            and cy < dtype(image_out.shape[1] + margin)
         ):
             return
-        column = int(wp.floor(cx + dtype(0.5)))
-        row = int(wp.floor(cy + dtype(0.5)))
         w = weight[e]
         lag_px = lag[window, 0]
         if w < dtype(0.0):
             lag_px = lag[window, 1]
-        speed = wp.sqrt(motion_x * motion_x + motion_y * motion_y)
-        if speed > dtype(0.0):
-            lag_px /= speed
-        _gauss_x, gx, sx = splat_taps(cx - dtype(column))
-        _gauss_y, gy, sy = splat_taps(cy - dtype(row))
-        along = w * (gx - (lag_px * motion_x) * sx)
-        across = (-w * lag_px * motion_y) * gx
-        if row >= reach and column >= reach and row < height - reach and column < width - reach:
-            for j in range(wp.static(taps)):
-                wp.atomic_add(
-                    rows_out, window, row + j - reach, column - reach, gy[j] * along + sy[j] * across
-                )
-        else:
-            for j in range(taps):
-                for i in range(taps):
-                    yy = row + j - reach
-                    xx = column + i - reach
-                    if yy >= 0 and yy < height and xx >= 0 and xx < width:
-                        wp.atomic_add(image_out, window, yy, xx, gy[j] * along[i] + sy[j] * across[i])
+        lag_x, lag_y = lag_along(lag_px, motion_x, motion_y)
+        add_splat(image_out, rows_out, window, cx, cy, w, lag_x, lag_y)
 
     return splat_events
 
 
 def splat_events(x, y, t, weight, window_ptr, motion, lag, frame, image_out, cfg: SplatConfig) -> None:
     """Launch; accumulates.  Float atomics: on a GPU sums repeat to a tolerance, not bit for bit."""
+    if not image_out.size:  # no pixel to add to
+        return
+    on_cpu = holds_rows(x.device)
+    columns = 2 * cfg.reach + 1 if on_cpu else strip_columns(cfg, image_out.shape[2])
     launch(
-        make_splat_events(x.dtype, cfg, motion.shape[1]),
+        make_splat_events(x.dtype, cfg, motion.shape[1], columns, on_cpu),
         x.shape[0],
         inputs=[x, y, t, weight, window_ptr, last_axis_as_vector(motion), lag, frame],
-        outputs=[image_out, neighbours(image_out, 2 * cfg.reach + 1)],
+        outputs=[image_out, neighbours(image_out, columns)],
         device=x.device,
     )

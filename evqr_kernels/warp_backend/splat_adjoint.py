@@ -6,14 +6,10 @@ with N, at the event, and lag the vector ``lag_i d``,
 
     adj_w = S - lag . grad S,    adj_v = t / scale w (grad S - hess S lag)
 
-so that S, its gradient and its second derivatives are all that is summed over pixels.  They need the
-profile's second derivative,
+so that S, its gradient and its second derivatives are all that is summed over pixels.
 
-    g''(r) = gauss(r) / c ((r^2 / eps^2 - 1) q k + 2 (r / R)^2 (2 q / eps^2 + 4 / R^2)),
-    q = 1 - (r / R)^2,    k = q / eps^2 + 4 / R^2
-
-The splat is separable: the pixels around an event are summed along columns first, with g, g' and g'' each,
-and what is left is one row for each of the three.
+The splat is separable: on CPUs the pixels around an event are summed along columns first, with g, g' and g''
+each, and what is left is one row for each of the three.  On GPUs: ``splat_strips.py``.
 """
 
 from functools import cache
@@ -31,8 +27,11 @@ from evqr_kernels.warp_backend.language import (
     vector,
 )
 from evqr_kernels.warp_backend.splat import CHUNK
+from evqr_kernels.warp_backend.splat_profile import make_gauss_around, make_splat_tap
+from evqr_kernels.warp_backend.splat_strips import holds_rows, make_gather_strips, strip_columns
 from evqr_kernels.warp_backend.sums import add_partials
 from evqr_kernels.warp_backend.transport import (
+    make_lag_along,
     make_middle,
     make_transport,
     make_velocity,
@@ -41,72 +40,22 @@ from evqr_kernels.warp_backend.transport import (
 
 
 @cache
-def make_splat_tap(dtype: type, cfg: SplatConfig) -> wp.Function:
-    """Build the function that gives g, g' and g'' at a tap that is ``r`` px off, from the Gaussian there."""
-    inverse_variance = wp.constant(dtype(1.0 / cfg.epsilon_px**2))
-    inverse_radius_sq = wp.constant(dtype(1.0 / cfg.radius_px**2))
-
-    @wp.func
-    def splat_tap(gauss: dtype, r: dtype):
-        q = wp.max(dtype(1.0) - r * r * inverse_radius_sq, dtype(0.0))
-        rate = q * inverse_variance + dtype(4.0) * inverse_radius_sq
-        bend = dtype(2.0) * q * inverse_variance + dtype(4.0) * inverse_radius_sq
-        second = (r * r * inverse_variance - dtype(1.0)) * q * rate
-        second += dtype(2.0) * r * r * inverse_radius_sq * bend
-        curvature = wp.where(q > dtype(0.0), gauss * second, dtype(0.0))
-        return gauss * q * q, -r * gauss * q * rate, curvature
-
-    return splat_tap
-
-
-@cache
-def make_gauss_around(dtype: type, cfg: SplatConfig) -> wp.Function:
-    """Build the start of a walk over taps, away from the middle one, which is ``-offset`` px off.
-
-    It gives the Gaussian there, and by what it grows to the tap on the right and to that on the left; with
-    each further step that shrinks by the Gaussian's value at a pixel, squared: two exps, not one a tap.
-    """
-    norm = wp.constant(dtype(cfg.norm))
-    inverse_variance = wp.constant(dtype(1.0 / cfg.epsilon_px**2))
-    shrink = wp.constant(dtype(cfg.gauss(1.0) ** 2))
-
-    @wp.func
-    def gauss_around(offset: dtype):
-        up = wp.exp((offset - dtype(0.5)) * inverse_variance)
-        return norm * wp.exp(dtype(-0.5) * offset * offset * inverse_variance), up, shrink / up
-
-    return gauss_around
-
-
-@cache
-def make_row_from(dtype: type, columns: int, on_cpu: bool) -> wp.Function:
-    """Build the look-up of ``columns`` pixels of a row from the one at x on, 0 if the row is outside.
-
-    ``on_cpu``: without a branch, for CPUs; on a GPU the loads of all rows at once would take the registers.
-    """
+def make_row_or_nearest(dtype: type, columns: int) -> wp.Function:
+    """Build the look-up of ``columns`` pixels of a row from the one at x on, 0 if the row is outside."""
     vec_columns = vector(columns, dtype)
-    if on_cpu:
-
-        @wp.func
-        def row_or_nearest(rows: wp.array3d(dtype=vec_columns), window: int, y: int, x: int) -> vec_columns:
-            nearest = wp.clamp(y, 0, rows.shape[1] - 1)
-            return wp.where(y == nearest, dtype(1.0), dtype(0.0)) * rows[window, nearest, x]
-
-        return row_or_nearest
 
     @wp.func
-    def row_from(rows: wp.array3d(dtype=vec_columns), window: int, y: int, x: int) -> vec_columns:
-        values = vec_columns()
-        if y >= 0 and y < rows.shape[1]:
-            values = rows[window, y, x]
-        return values
+    def row_or_nearest(rows: wp.array3d(dtype=vec_columns), window: int, y: int, x: int) -> vec_columns:
+        # without a branch
+        nearest = wp.clamp(y, 0, rows.shape[1] - 1)
+        return wp.where(y == nearest, dtype(1.0), dtype(0.0)) * rows[window, nearest, x]
 
-    return row_from
+    return row_or_nearest
 
 
 @cache
-def make_smooth(dtype: type, cfg: SplatConfig, columns: int, on_cpu: bool) -> wp.Function:
-    """Build the function that gives S at (cx, cy), S_x, S_y, S_xx, S_xy and S_yy.
+def make_gather_rows(dtype: type, cfg: SplatConfig, columns: int) -> wp.Function:
+    """Build the function that gives adj_w and grad S - hess S lag for an event at (cx, cy).
 
     ``rows``: `neighbours` of the image.  Near its sides the ``columns`` that are read are the last ones
     inside: pixels that are farther off than the splat reaches have profile 0.
@@ -117,10 +66,19 @@ def make_smooth(dtype: type, cfg: SplatConfig, columns: int, on_cpu: bool) -> wp
     gauss_around = make_gauss_around(dtype, cfg)
     shrink = wp.constant(dtype(cfg.gauss(1.0) ** 2))
     splat_tap = make_splat_tap(dtype, cfg)
-    row_from = make_row_from(dtype, columns, on_cpu)
+    row_or_nearest = make_row_or_nearest(dtype, columns)
+    lag_along = make_lag_along(dtype)
 
     @wp.func
-    def smooth(rows: wp.array3d(dtype=vec_columns), window: int, cx: dtype, cy: dtype):
+    def gather_rows(
+        rows: wp.array3d(dtype=vec_columns),
+        window: int,
+        cx: dtype,
+        cy: dtype,
+        lag_px: dtype,
+        motion_x: dtype,
+        motion_y: dtype,
+    ):
         row = int(wp.floor(cy + dtype(0.5)))
         first = wp.clamp(int(wp.floor(cx + dtype(0.5))) - middle, 0, rows.shape[2] - 1)
         by_g = vec_columns()
@@ -135,7 +93,7 @@ def make_smooth(dtype: type, cfg: SplatConfig, columns: int, on_cpu: bool) -> wp
                 if side == 0 or k > 0:
                     tap = wp.where(side == 0, k, -k)
                     g, s, c = splat_tap(wp.where(side == 0, right, left), dtype(tap) - offset)
-                    values = row_from(rows, window, row + tap, first)
+                    values = row_or_nearest(rows, window, row + tap, first)
                     by_g += g * values
                     by_s += s * values
                     by_c += c * values
@@ -167,9 +125,14 @@ def make_smooth(dtype: type, cfg: SplatConfig, columns: int, on_cpu: bool) -> wp
             left *= down
             up *= shrink
             down *= shrink
-        return value, value_x, value_y, value_xx, value_xy, value_yy
+        lag_x, lag_y = lag_along(lag_px, motion_x, motion_y)  # here: the sums leave no register for it
+        return (
+            value - lag_x * value_x - lag_y * value_y,
+            value_x - lag_x * value_xx - lag_y * value_xy,
+            value_y - lag_x * value_xy - lag_y * value_yy,
+        )
 
-    return smooth
+    return gather_rows
 
 
 @cache
@@ -178,13 +141,13 @@ def make_splat_events_adjoint(
 ) -> wp.Kernel:
     """Build the adjoint for a precision, a splat and a motion; launch: one thread per (window, chunk).
 
-    ``columns``: pixels of a row that are read at once, all that a splat reaches or all there are.
-    ``on_cpu``: the variant for CPUs, which hold more in registers.
+    ``columns``: pixels of a row that are read at once.
+    ``on_cpu``: the variant for CPUs, where these are all that a splat reaches or all there are.
     """
     margin = 2 * cfg.reach + 1
     vec_columns = vector(columns, dtype)
     vec_parameters = vector(parameters, dtype)
-    smooth = make_smooth(dtype, cfg, columns, on_cpu)
+    gather = make_gather_rows(dtype, cfg, columns) if on_cpu else make_gather_strips(dtype, cfg, columns)
     transport = make_transport(dtype)
     middle = make_middle(dtype)
     velocity = make_velocity(dtype, parameters)
@@ -239,17 +202,9 @@ def make_splat_events_adjoint(
                 and cx < dtype(width + margin)
                 and cy < dtype(height + margin)
             ):
-                value, value_x, value_y, value_xx, value_xy, value_yy = smooth(adj_rows, window, cx, cy)
                 w = weight[e]
                 lag_px = wp.where(w < dtype(0.0), lag_off, lag_on)
-                speed = wp.sqrt(motion_x * motion_x + motion_y * motion_y)
-                if speed > dtype(0.0):
-                    lag_px /= speed
-                lag_x = lag_px * motion_x
-                lag_y = lag_px * motion_y
-                adj_w = value - lag_x * value_x - lag_y * value_y
-                slope_x = value_x - lag_x * value_xx - lag_y * value_xy
-                slope_y = value_y - lag_x * value_xy - lag_y * value_yy
+                adj_w, slope_x, slope_y = gather(adj_rows, window, cx, cy, lag_px, motion_x, motion_y)
                 factor = t[e] * inverse_scale * w
                 adj = velocity_adjoint(factor * slope_x, factor * slope_y, dx, dy)
                 # the sums are in memory: no register is left for them, and `+=` would be atomic
@@ -268,9 +223,10 @@ def splat_events_adjoint(
         clear(adj_weight_out)
         clear(adj_motion_out)
         return
-    columns = min(2 * cfg.reach + 1, adj_image.shape[2])
+    on_cpu, width = holds_rows(x.device), adj_image.shape[2]
+    columns = min(2 * cfg.reach + 1, width) if on_cpu else strip_columns(cfg, width)
     launch(
-        make_splat_events_adjoint(x.dtype, cfg, motion.shape[1], columns, on_cpu=x.device.is_cpu),
+        make_splat_events_adjoint(x.dtype, cfg, motion.shape[1], columns, on_cpu),
         chunks_out.shape[:2],
         inputs=[
             x,

@@ -40,6 +40,20 @@ def make_middle(dtype: type) -> wp.Function:
 
 
 @cache
+def make_lag_along(dtype: type) -> wp.Function:
+    """Build the function that gives the lag as a vector along the motion [image px]."""
+
+    @wp.func
+    def lag_along(lag_px: dtype, motion_x: dtype, motion_y: dtype):
+        speed = wp.sqrt(motion_x * motion_x + motion_y * motion_y)
+        if speed > dtype(0.0):
+            lag_px /= speed
+        return lag_px * motion_x, lag_px * motion_y
+
+    return lag_along
+
+
+@cache
 def make_velocity(dtype: type, parameters: int) -> wp.Function:
     """Build the function that gives the velocity at (dx, dy) from the middle, for 2 or 6 parameters."""
     vec = vector(parameters, dtype)

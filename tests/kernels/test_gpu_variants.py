@@ -6,7 +6,7 @@ import pkgutil
 import numpy as np
 import pytest
 
-from evqr_kernels import get_backend
+from evqr_kernels import SplatConfig, get_backend
 
 from . import cases
 from .helpers import Runner, assert_close
@@ -16,7 +16,7 @@ pytest.importorskip("warp")
 
 from evqr_kernels import warp_backend
 from evqr_kernels.warp_backend import align as warp_align
-from evqr_kernels.warp_backend import render, render_adjoint, splat_adjoint
+from evqr_kernels.warp_backend import render, render_adjoint, splat, splat_adjoint
 
 MODULES = [
     importlib.import_module(f"{warp_backend.__name__}.{found.name}")
@@ -31,6 +31,14 @@ CHOSEN = [
 """How much one thread does on a CPU; on a GPU as much as the constant for GPUs says, or else 1."""
 
 
+SPLATS = [
+    cases.splat_events,
+    cases.splat_events_affine,
+    cases.splat_events_adjoint,
+    cases.splat_events_affine_adjoint,
+]
+
+
 @pytest.fixture
 def warp_as_on_gpus(monkeypatch):
     """Warp on the CPU, with what suits GPUs."""
@@ -42,10 +50,12 @@ def warp_as_on_gpus(monkeypatch):
 
     for module, make, variant in (
         (render, "make_render_code", {"on_cpu": False}),
-        (splat_adjoint, "make_splat_events_adjoint", {"on_cpu": False}),
         (warp_align, "make_align_poses", {"unrolled": False}),
     ):
         monkeypatch.setattr(module, make, as_on_gpus(getattr(module, make), **variant))
+
+    for module in (splat, splat_adjoint):
+        monkeypatch.setattr(module, "holds_rows", lambda device: False)
 
     def launch_as_on_gpus(grid, to_grid, outside, sigma, adj_image, rows_out, adj_grid_out):
         render_adjoint.launch_rows(grid, to_grid, outside, sigma, adj_image, rows_out)
@@ -82,6 +92,36 @@ def test_align_as_on_gpus(tilt, dtype):
     expected, expected_values = align("numpy", dtype, tilt, **options)
     assert_close(poses, expected, EXACT[np.dtype(dtype)])
     assert_close(values[:, :3], expected_values[:, :3], EXACT[np.dtype(dtype)])
+
+
+@pytest.mark.parametrize("epsilon_px", [1.0, 2.0, 4.0])
+@pytest.mark.parametrize("case", SPLATS, ids=lambda case: case.__name__)
+def test_wide_splats_as_on_gpus(case, epsilon_px, warp_as_on_gpus, spec, dtype, rng):
+    call = case(rng, dtype)
+    call.tail = (SplatConfig(epsilon_px=epsilon_px),)
+    assert_same(call, warp_as_on_gpus, spec)
+
+
+@pytest.mark.parametrize("shape", [(1, 1), (9, 1), (1, 9), (4, 3), (5, 6)])
+@pytest.mark.parametrize("case", [cases.splat_events, cases.splat_events_adjoint])
+def test_splats_wider_than_the_image_as_on_gpus(case, shape, warp_as_on_gpus, spec, dtype, rng):
+    call = case(rng, dtype)
+    call.tail = (SplatConfig(epsilon_px=2.0),)
+    call.inputs[:2] = rng.uniform(-3, np.add(shape[::-1], 2)[:, None], (2, len(call.inputs[0]))).astype(dtype)
+    image = rng.normal(size=(cases.B, *shape)).astype(dtype)
+    if case is cases.splat_events:
+        call.outputs = [image]
+    else:
+        call.inputs[-1] = image
+    assert_same(call, warp_as_on_gpus, spec)
+
+
+@pytest.mark.parametrize("shape", [(0, 4), (4, 0)])
+def test_splats_in_images_without_a_pixel_as_on_gpus(shape, warp_as_on_gpus, dtype, rng):
+    call = cases.splat_events(rng, dtype)
+    call.outputs = [np.zeros((cases.B, *shape), dtype)]
+    (image,) = call.run(warp_as_on_gpus)
+    assert image.shape == (cases.B, *shape)
 
 
 def assert_same(call, warp_as_on_gpus, spec):

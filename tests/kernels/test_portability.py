@@ -9,6 +9,9 @@ from pathlib import Path
 import pytest
 import warp as wp
 
+from evqr_kernels import SplatConfig
+from evqr_kernels.warp_backend.splat_strips import strip_columns
+
 from .test_style import FILES, decorated
 
 SCRIPT = Path(__file__).parents[2] / "perf" / "portability.py"
@@ -45,6 +48,14 @@ def test_every_kernel_is_found():
     modules = portability.build(wp.float32, settings["variants"], {})
     built = {kernel.func.__name__ for module in modules for kernel in module.kernels.values()}
     assert built | settings["cpu_only"].keys() == in_sources
+
+
+@pytest.mark.parametrize("file", ["splat", "splat_adjoint"])
+def test_splats_are_built_as_gpus_run_them(file):
+    variants = json.loads(SCRIPT.with_suffix(".json").read_text())["variants"][file]
+    assert {SplatConfig(**variant["cfg"]).epsilon_px for variant in variants} == {0.8, 1.0, 2.0, 4.0}
+    for variant in variants:
+        assert variant["columns"] == strip_columns(SplatConfig(**variant["cfg"]), 10_000)
 
 
 @pytest.mark.parametrize(
