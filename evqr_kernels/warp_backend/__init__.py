@@ -37,6 +37,7 @@ from evqr_kernels.warp_backend import (
     solve,
     splat,
     splat_adjoint,
+    splat_strips,
     sums,
     templates,
 )
@@ -193,17 +194,21 @@ def _modules(kernels: KernelSet, device: str) -> list[wp.Module]:
         pull.make_pull_modules(f32),
         *solve.make_kernels(f32, on_cpu=device == "cpu"),
         *([replay.run_sequence] if device == "cpu" else []),
-        *(kernel for cfg in kernels.splats for kernel in _splat_kernels(cfg, on_cpu=device == "cpu")),
+        *(kernel for cfg in kernels.splats for kernel in splat_kernels(cfg, wp.get_device(device))),
     ]
     return list(dict.fromkeys(kernel.module for kernel in made))
 
 
-def _splat_kernels(cfg: SplatConfig, *, on_cpu: bool) -> list[wp.Kernel]:
-    """List the kernels of a splat and its adjoint, for motions of two and of six parameters."""
-    f32, columns = wp.float32, 2 * cfg.reach + 1
+def splat_kernels(cfg: SplatConfig, device: wp.Device) -> list[wp.Kernel]:
+    """List the kernels of a splat and its adjoint, for motions of two and of six parameters.
+
+    They are those for images that are not narrower than the splat.
+    """
+    f32, on_cpu, columns = wp.float32, splat_strips.holds_rows(device), 2 * cfg.reach + 1
+    columns = columns if on_cpu else splat_strips.strip_columns(cfg, columns)
     kernels = [sums.make_add_partials(f32)]
     for parameters in (2, 6):
-        kernels.append(splat.make_splat_events(f32, cfg, parameters))
+        kernels.append(splat.make_splat_events(f32, cfg, parameters, columns, on_cpu))
         kernels.append(splat_adjoint.make_splat_events_adjoint(f32, cfg, parameters, columns, on_cpu))
     return kernels
 

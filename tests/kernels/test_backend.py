@@ -20,8 +20,6 @@ from evqr_kernels import (
     warp_backend,
 )
 from evqr_kernels.backend import OPS, require_device
-from evqr_kernels.warp_backend.splat import make_splat_events
-from evqr_kernels.warp_backend.splat_adjoint import make_splat_events_adjoint
 
 HEAVY = (
     "warp",
@@ -225,11 +223,9 @@ def test_splats_are_loaded_by_name(monkeypatch):
     made.load("cpu")
     always = set(loaded)
     made.load("cpu", KernelSet(splats=(cfg,)))
-    for make in (make_splat_events, make_splat_events_adjoint):
-        for parameters in (2, 6):
-            module = make(warp_backend.wp.float32, cfg, parameters).module
-            assert module in loaded
-            assert module not in always
+    modules = {kernel.module for kernel in warp_backend.splat_kernels(cfg, warp_backend.wp.get_device("cpu"))}
+    assert sum("splat" in module.name for module in modules) == 4
+    assert modules <= set(loaded) and not {m for m in modules if "splat" in m.name} & always
 
 
 @pytest.mark.parametrize("name", BACKENDS[1:])

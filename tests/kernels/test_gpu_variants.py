@@ -22,12 +22,8 @@ MODULES = [
     importlib.import_module(f"{warp_backend.__name__}.{found.name}")
     for found in pkgutil.iter_modules(warp_backend.__path__)
 ]
-CHOSEN = [
-    (module, name)
-    for module in MODULES
-    for name in vars(module)
-    if name in ("CPU_BLOCK", "CPU_ROWS", "CPU_RUN")
-]
+CHOICES = ("BLOCK", "ADJOINT_BLOCK", "ROWS", "RUN")
+CHOSEN = [(module, f"CPU_{name}") for module in MODULES for name in CHOICES if f"CPU_{name}" in vars(module)]
 """How much one thread does on a CPU; on a GPU as much as the constant for GPUs says, or else 1."""
 
 
@@ -70,7 +66,7 @@ def test_every_choice_is_known():
     chosen = {module.__name__.rpartition(".")[2] for module, _ in CHOSEN}
     assert {"banded", "lag", "lag_adjoint", "motion", "peaks", "pose", "residual", "templates"} <= chosen
     told = {name for module in MODULES for name in vars(module) if name.startswith(("CPU_", "GPU_"))}
-    assert {name[4:] for name in told} <= {"BLOCK", "ROWS", "RUN", "FLAGS"}
+    assert {name[4:] for name in told} <= {*CHOICES, "FLAGS"}
 
 
 @pytest.mark.parametrize("case", [*cases.CALLS, cases.solve_code_banded], ids=lambda case: case.__name__)
