@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 
 import evqr_kernels
+from evqr_kernels import checks
 
 from . import cases
 from .helpers import TOLERANCE, assert_close, filled
@@ -219,24 +220,24 @@ def test_poses_and_codes_on_threads_and_repeated(placed, dtype, rng):
                 np.testing.assert_array_equal(one, other)
 
 
-def huge(*shape):
-    """An array of so many elements that takes no memory."""
-    return np.broadcast_to(np.float32(0), shape)
-
-
-def test_more_than_an_index_can_hold_is_refused():
+def test_more_than_an_index_can_hold_is_refused(monkeypatch):
+    """Limits of inputs are lowered here: inputs are in memory.  Results and scratch are refused before."""
     few = np.zeros((1, 2), np.float32)
-    with pytest.raises(
-        ValueError, match="luminance must have fewer than 2147483648 elements, got 2147483648"
-    ):
-        evqr_kernels.brightness_residual(huge(1, 2**16, 2**15), huge(1, 2**16, 2**15), few)
-    with pytest.raises(ValueError, match="x must have at most 1073741824 events, got 1073741825"):
-        evqr_kernels.bin_events(
-            *[huge(2**30 + 1)] * 3, np.array([0, 2**30 + 1], np.int32), reduction=1.0, shape=(2, 2)
-        )
     grid, outside = filled((1, 3, 3), np.float32, 0), np.zeros(1, np.float32)
     with pytest.raises(ValueError, match="result must have fewer than 2147483648 elements, got 4294967296"):
         evqr_kernels.render_code(grid, np.zeros((1, 6), np.float32), outside, shape=(2**16, 2**16))
     with pytest.raises(ValueError, match="scratch must have fewer than 2147483648 elements"):
-        pose, lattice, profile = np.zeros((1, 9), np.float32), huge(2**16), huge(4)
+        pose, lattice, profile = np.zeros((1, 9), np.float32), np.zeros(2**16, np.float32), few[0].repeat(2)
         evqr_kernels.code_rhs(grid, pose, lattice, profile, profile, few, samples_a_module=2)
+    monkeypatch.setattr(checks, "MOST_ELEMENTS", 99)
+    image = np.zeros((1, 10, 10), np.float32)
+    with pytest.raises(ValueError, match="luminance must have fewer than 100 elements, got 100"):
+        evqr_kernels.brightness_residual(image, image, few)
+    monkeypatch.setattr(checks, "MOST_EVENTS", 9)
+    column, ptr = np.zeros(10, np.float32), np.array([0, 10], np.int32)
+    with pytest.raises(ValueError, match="x must have at most 9 events, got 10"):
+        evqr_kernels.bin_events(column, column, column, ptr, reduction=1.0, shape=(2, 2))
+
+
+def test_limits_are_those_of_the_indices():
+    assert checks.MOST_ELEMENTS == np.iinfo(np.int32).max and checks.MOST_EVENTS == 2**30

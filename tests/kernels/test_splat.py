@@ -22,8 +22,8 @@ event_lists = st.lists(st.tuples(coordinate, coordinate, st.floats(-1, 1, width=
 
 
 def splat(x, y, weight=None, **options):
-    x, y = np.atleast_1d(np.asarray(x, float)), np.atleast_1d(np.asarray(y, float))
-    weight = np.ones(len(x)) if weight is None else np.asarray(weight, float)
+    x, y = (np.atleast_1d(np.ascontiguousarray(array, float)) for array in (x, y))
+    weight = np.ones(len(x)) if weight is None else np.ascontiguousarray(weight, float)
     options = {"motion": np.zeros((1, 2)), "t": np.zeros(len(x)), "shape": (24, 32), **options}
     ptr = np.array([0, len(x)], np.int32)
     return evqr_kernels.splat_events(x, y, options.pop("t"), weight, ptr, options.pop("motion"), **options)
