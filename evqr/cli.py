@@ -12,6 +12,7 @@ import multiprocessing
 import os
 import signal
 import sys
+import threading
 from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import ProcessPoolExecutor
 from contextlib import contextmanager
@@ -349,6 +350,17 @@ def _read_many(recordings: tuple[Path, ...], jobs: int, as_json: bool, **options
     return _exit_status(statuses)
 
 
+def _begin_worker() -> None:
+    """Let a worker end at once, without a traceback, on Ctrl-C, which reaches it too, and with its parent.
+
+    A worker of a parent that was killed would work on what was handed out, and then wait for ever.
+    """
+    signal.signal(signal.SIGINT, signal.SIG_DFL)
+    parent = multiprocessing.parent_process()
+    if parent is not None:
+        threading.Thread(target=lambda: (parent.join(), os._exit(1)), daemon=True).start()
+
+
 @contextmanager
 def process_pool(jobs: int) -> Iterator[ProcessPoolExecutor | None]:
     """Start workers as fresh processes: kernels and their threads do not survive a fork."""
@@ -358,9 +370,7 @@ def process_pool(jobs: int) -> Iterator[ProcessPoolExecutor | None]:
     pool = ProcessPoolExecutor(
         jobs,
         mp_context=multiprocessing.get_context("spawn"),
-        # Ctrl-C reaches the workers too: let it end them at once, without a traceback each.
-        initializer=signal.signal,
-        initargs=(signal.SIGINT, signal.SIG_DFL),
+        initializer=_begin_worker,
     )
     try:
         yield pool

@@ -9,6 +9,7 @@ import sys
 import time
 from concurrent.futures import ProcessPoolExecutor
 from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -152,6 +153,43 @@ def test_a_dask_cluster_gives_the_same_table(tiny, tmp_path, results):
     local = {"n_workers": 1, "threads_per_worker": 1, "processes": False, "dashboard_address": None}
     with distributed.LocalCluster(**local) as cluster, distributed.Client(cluster) as client:
         assert lines(run_cells(tiny, CELLS, tmp_path, executor=client.get_executor())) == lines(results)
+
+
+WAITING = """
+import os, sys, time
+from evqr.cli import process_pool
+if __name__ == "__main__":
+    with process_pool(2) as pool:
+        print(*{job.result() for job in [pool.submit(os.getpid) for _ in range(20)]}, flush=True)
+        time.sleep(60)
+"""
+
+
+@pytest.mark.skipif(not Path("/proc/self/stat").exists(), reason="asks /proc what runs")
+def test_workers_end_with_a_parent_that_is_killed(tmp_path):
+    script = tmp_path / "waiting.py"
+    script.write_text(WAITING)
+    run = subprocess.Popen([sys.executable, str(script)], stdout=subprocess.PIPE, text=True)
+    try:
+        workers = [int(pid) for pid in run.stdout.readline().split()]
+        assert workers
+    finally:
+        run.kill()
+        run.wait()
+        run.stdout.close()
+    deadline = time.monotonic() + 10
+    while any(is_running(pid) for pid in workers):
+        assert time.monotonic() < deadline, "workers outlive their parent"
+        time.sleep(0.05)
+
+
+def is_running(pid):
+    """Whether a process does anything: one that has ended and that nobody asks about is still there."""
+    try:
+        state = Path(f"/proc/{pid}/stat").read_text().rpartition(")")[2].split()[0]
+    except FileNotFoundError:
+        return False
+    return state not in "ZX"
 
 
 def test_a_run_that_is_killed_goes_on_where_it_was(tiny, tmp_path, results):
