@@ -169,7 +169,9 @@ if __name__ == "__main__":
 def test_workers_end_with_a_parent_that_is_killed(tmp_path):
     script = tmp_path / "waiting.py"
     script.write_text(WAITING)
-    run = subprocess.Popen([sys.executable, str(script)], stdout=subprocess.PIPE, text=True)
+    run = subprocess.Popen(
+        [sys.executable, str(script)], stdout=subprocess.PIPE, stderr=subprocess.DEVNULL, text=True
+    )
     try:
         workers = [int(pid) for pid in run.stdout.readline().split()]
         assert workers
