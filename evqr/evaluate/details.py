@@ -94,10 +94,10 @@ def harder_of(results: Sequence[CellResult]) -> Details:
         rows.append([scene, f"{angle:g}", paper, *(_harder(*pair) for pair in pairs)])
     hard, slow = (METHODS[method].title for method in HARDER)
     told = (
-        f"Scenes made harder, where only a share of the events is kept, at random: the read rate of {hard},"
-        f" as a measure of how hard they are, and the iterations of q that {slow} takes until {FEW_WRONG}"
-        " codewords are wrong (mean of the trials that get there). With the paper's numbers, which are until"
-        " it reads, compare the share that has the paper's read rate:"
+        "Scenes made harder, where only a share of the events is kept, at random. Each entry: the read rate"
+        f" of {hard}, as a measure of how hard they are; the mean iterations of q that {slow} takes until it"
+        f" reads; and until {FEW_WRONG} codewords are wrong, with the number of trials that get there in"
+        " brackets. With the paper's pair compare the share that has its read rate:"
     )
     return Details(told=told, rows=rows)
 
@@ -105,9 +105,9 @@ def harder_of(results: Sequence[CellResult]) -> Details:
 def _harder(rated: CellResult | None, counted: CellResult | None) -> str:
     if rated is None or counted is None:
         return "-"
-    few = iterations_to_few(counted)
-    mean = f"{np.mean(few):.3g} ({len(few)} of {len(counted.trials)})" if few else "-"
-    return f"{text_of(rated.score.read_rate, '.0f', 100)} %; {mean}"
+    read = [t.iterations_to_read for t in counted.trials if t.iterations_to_read is not None]
+    means = [f"{np.mean(n):.3g} ({len(n)})" if n else "-" for n in (read, iterations_to_few(counted))]
+    return "; ".join([f"{text_of(rated.score.read_rate, '.0f', 100)} %", *means])
 
 
 def iterations_to_few(result: CellResult) -> list[int]:

@@ -112,7 +112,7 @@ def test_scenes_made_harder(tiny):
     harder = details_of(table, [*sweep, few(descent, 0.25, None)])[0]
     assert harder.rows == [
         ["scene", "deg.", "the paper's", "100 % of the events", "50 % of the events", "25 % of the events"],
-        ["faster", "30", "4 %; 6.04", "100 %; 5 (2 of 2)", "0 %; 10.5 (2 of 3)", "-"],
+        ["faster", "30", "4 %; 6.04", "100 %; 3 (2); 5 (2)", "0 %; 3 (3); 10.5 (2)", "-"],
     ]
     assert "w/o QR" in harder.told and "Ours (the paper's)" in harder.told
 
