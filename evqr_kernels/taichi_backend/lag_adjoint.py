@@ -2,7 +2,7 @@
 
 from functools import cache
 
-from evqr_kernels.taichi_backend.language import array, float_of, ti
+from evqr_kernels.taichi_backend.language import array, float_of, is_on_cpu, ti
 from evqr_kernels.taichi_backend.launches import launch
 from evqr_kernels.taichi_backend.transport import make_transport
 
@@ -103,7 +103,7 @@ def make_lag_columns_adjoint(dtype):
 
 @cache
 def make_lag_rows_adjoint(dtype):
-    """Build the pass along rows; one thread per (deposit, row)."""
+    """Build the pass along rows; one thread per (deposit, row, ``run`` cells of it)."""
 
     @ti.kernel
     def lag_rows_adjoint(
@@ -112,13 +112,15 @@ def make_lag_rows_adjoint(dtype):
         direction: array(dtype, 2),
         lag: array(dtype, 2),
         taps: array(dtype, 2),
+        run: ti.i32,
         adj_deposit_out: array(dtype, 4),
     ):
-        for b, y in ti.ndrange(adj_deposit_out.shape[0], adj_deposit_out.shape[2]):
+        runs = (adj_deposit_out.shape[3] + run - 1) // run
+        for b, y, k in ti.ndrange(adj_deposit_out.shape[0], adj_deposit_out.shape[2], runs):
             size = taps.shape[1]
             reach = size // 2
             width = adj_rows.shape[3]
-            for x in range(width):
+            for x in range(k * run, ti.min((k + 1) * run, width)):
                 on = dtype(0.0)
                 off = dtype(0.0)
                 for n in range(deposit_idx.shape[0]):
@@ -144,4 +146,6 @@ def lag_operator_adjoint(deposit_idx, direction, lag, taps, adj_image, rows_out,
     """Launch both passes; overwrites."""
     dtype = float_of(adj_image)
     launch(make_lag_columns_adjoint(dtype), adj_image, taps, rows_out)
-    launch(make_lag_rows_adjoint(dtype), rows_out, deposit_idx, direction, lag, taps, adj_deposit_out)
+    # a CPU takes rows whole; on a GPU a thread has one cell, which looks at all images
+    run = max(adj_deposit_out.shape[3], 1) if is_on_cpu(adj_image) else 1
+    launch(make_lag_rows_adjoint(dtype), rows_out, deposit_idx, direction, lag, taps, run, adj_deposit_out)
