@@ -307,7 +307,7 @@ def _confidence(results: Sequence[CellResult]) -> Figure | None:
     axes.set(
         title=f"{len(readings)} readings, {count} wrong"
         + ("" if count else f": a chance of at most {NEVER / len(readings):.1g}, at 95 %")
-        + f"; mean distance of stated and true {error:.1g}",
+        + f"\nmean distance of stated and true {error:.1g}",
         xlabel="stated chance to be wrong",
         ylabel="chance to be wrong",
         yscale="log",
