@@ -8,7 +8,6 @@ the operation's arguments.
 from __future__ import annotations
 
 import functools
-import math
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
@@ -20,7 +19,7 @@ from evqr_kernels import arguments
 from evqr_kernels.backend import Array
 from evqr_kernels.checks import ArrayChecks, check_size
 from evqr_kernels.config import SplatConfig
-from evqr_kernels.launch import CHUNK, chunks_of
+from evqr_kernels.launch import chunks_of, chunks_of_samples
 
 Shape = tuple[int, ...]
 Shapes = Mapping[str, Shape]
@@ -75,10 +74,6 @@ class Rule:
 
 
 EVENTS = ("x", "y", "t", "weight", "window_ptr")
-
-
-def _chunks(items: int) -> int:
-    return max(1, math.ceil(items / CHUNK))
 
 
 @functools.lru_cache(maxsize=128)
@@ -231,7 +226,9 @@ def sample_moments() -> Rule:
         indices=("image_idx", "active"),
         varied=("image",),
         output=shape,
-        forward_scratch=lambda sizes: [(sizes["pose"][0], _chunks(sizes["points"][0]), shape(sizes)[1])],
+        forward_scratch=lambda sizes: [
+            (sizes["pose"][0], chunks_of_samples(sizes["points"][0]), shape(sizes)[1])
+        ],
         forward=forward,
         adjoint=adjoint,
     )

@@ -17,6 +17,11 @@ EVENTS = 64
 """Events of a window that one thread adds up, or more where the window has more than most."""
 
 
+def chunks_of_samples(samples: int) -> int:
+    """Give how many threads a pose's samples are shared out among."""
+    return max(1, -(-samples // CHUNK))
+
+
 def chunks_of(events: int, windows: int) -> int:
     """Give how many threads a window's events are shared out among."""
     return max(1, -(-events // (EVENTS * max(windows, 1))))

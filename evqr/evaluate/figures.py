@@ -46,11 +46,11 @@ def figures_of(table: Sequence[CellResult], sweep: Sequence[CellResult]) -> Mapp
     ------
     MissingExtra   matplotlib is not installed
     """
-    everything = [*table, *sweep]
+    everything, with_modules = [*table, *sweep], _with_modules(table)
     figures = {
         "figure7": _grid(table, _draw_picture, "estimated images"),
         "figure8": _grid(
-            [r for r in table if r.cell.method in _with_modules(table)],
+            [r for r in table if r.cell.method in with_modules],
             _draw_modules,
             "modules by the mode over the windows: magenta dark, truly light; green light, truly dark",
         ),

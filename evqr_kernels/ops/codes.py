@@ -7,7 +7,7 @@ import numpy as np
 from evqr_kernels import arguments
 from evqr_kernels.checks import ArrayChecks, Floats, Ints
 from evqr_kernels.interop import any_arrays
-from evqr_kernels.launch import CHUNK, Launch
+from evqr_kernels.launch import Launch, chunks_of_samples
 
 
 @any_arrays
@@ -59,7 +59,7 @@ def sample_moments(
     active = _check_moments(checks, image, image_idx, pose, points, table, active)
     launch = Launch("sample_moments", checks, backend, device)
     count, samples, moments = len(pose), len(points), table.shape[1] + 1
-    chunks = launch.scratch(count, max(1, -(-samples // CHUNK)), moments)
+    chunks = launch.scratch(count, chunks_of_samples(samples), moments)
     inputs = launch.put(image, image_idx, pose, active, points, table)
     launch.run(*inputs, chunks, launch.result(None, count, moments))
     return launch.results()[0]
