@@ -17,12 +17,13 @@ if TYPE_CHECKING:
     from evqr import simulate
     from evqr.config import ReadConfig, Vote
     from evqr.errors import EvqrError, MissingExtra, RecordingError, UsageError
+    from evqr.events.array import EventArray
     from evqr.many import read_many
-    from evqr.picture import draw_reading
-    from evqr.reader import read_codes, read_windows
+    from evqr.offline import read_codes, read_windows
+    from evqr.output.picture import draw_reading
     from evqr.recording import Recording, RecordingInfo, open_recording, save_recording, summarise
+    from evqr.results import CodeReading, ReadResult, ReadStatus, WindowReading
     from evqr.solver import Solver
-    from evqr.types import CodeReading, EventArray, ReadResult, ReadStatus, WindowReading
 
 __all__ = [
     "CodeReading",
@@ -53,11 +54,12 @@ _HOME = {
     "evqr.config": ("ReadConfig", "Vote"),
     "evqr.errors": ("EvqrError", "MissingExtra", "RecordingError", "UsageError"),
     "evqr.many": ("read_many",),
-    "evqr.picture": ("draw_reading",),
-    "evqr.reader": ("read_codes", "read_windows"),
+    "evqr.output.picture": ("draw_reading",),
+    "evqr.offline": ("read_codes", "read_windows"),
     "evqr.recording": ("Recording", "RecordingInfo", "open_recording", "save_recording", "summarise"),
     "evqr.solver": ("Solver",),
-    "evqr.types": ("CodeReading", "EventArray", "ReadResult", "ReadStatus", "WindowReading"),
+    "evqr.events.array": ("EventArray",),
+    "evqr.results": ("CodeReading", "ReadResult", "ReadStatus", "WindowReading"),
 }
 _HOME_OF = {name: module for module, names in _HOME.items() for name in names}
 

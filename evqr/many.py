@@ -9,7 +9,7 @@ from os import PathLike, fsdecode
 from typing import TYPE_CHECKING, Any
 
 from evqr.errors import EvqrError
-from evqr.types import ReadResult, ReadStatus
+from evqr.results import ReadResult, ReadStatus
 
 if TYPE_CHECKING:
     from evqr.config import ReadConfig
@@ -71,7 +71,7 @@ def read_many(
 
 
 def _read_one(source: Any, **options: Any) -> ReadResult:
-    from evqr.reader import read_codes
+    from evqr.offline import read_codes
 
     try:
         return read_codes(source, **options)

@@ -16,17 +16,19 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from evqr.codespace import size_of
 from evqr.config import LookConfig, ReadConfig
-from evqr.initial.finder import find_hypotheses
-from evqr.initial.motion import Motion, estimate_motion, find_motion, window_length_us
-from evqr.initial.pose import Candidate, batches, screen
-from evqr.lag import estimate_lag
-from evqr.measure import measure
-from evqr.region import Region, depositing, region_around
-from evqr.stage_one import Alignment, escape_side_minimum
-from evqr.stage_two import NormalEquations
-from evqr.windows import EventBuffer, Window
+from evqr.events.buffer import EventBuffer
+from evqr.events.window import Window
+from evqr.fit.align import Alignment, escape_side_minimum
+from evqr.fit.image import depositing
+from evqr.fit.lag import estimate_lag
+from evqr.fit.measure import measure
+from evqr.fit.modules import NormalEquations
+from evqr.fit.region import Region, region_around
+from evqr.search.finder import find_hypotheses
+from evqr.search.motion_estimate import Motion, estimate_motion, find_motion, window_length_us
+from evqr.search.screen import Candidate, batches, screen
+from evqr.symbol.space import size_of
 from evqr.workspace import Workspace
 from evqr_kernels.backend import get_backend
 

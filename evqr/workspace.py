@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import ArrayLike, DTypeLike, NDArray
 
 if TYPE_CHECKING:
-    from evqr.windows import Window
+    from evqr.events.window import Window
     from evqr_kernels.backend import KernelBackend
 
 

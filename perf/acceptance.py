@@ -31,7 +31,7 @@ from tqdm import tqdm
 
 import evqr
 from evqr import simulate
-from evqr.codewords import LEVELS, codeword_layout
+from evqr.symbol.qr_codewords import LEVELS, codeword_layout
 
 MIN_READ_RATE = 0.99
 PRESETS = ("clean", "slow", "fast")

@@ -16,14 +16,15 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from evqr.baselines import descent, integrate
-from evqr.decode import Decoded, decode_grid
-from evqr.initial.finder import find_hypotheses
-from evqr.region import outline
+from evqr.events.array import EventArray
+from evqr.events.buffer import EventBuffer
+from evqr.events.window import Window
+from evqr.fit.modules import solve_modules
+from evqr.geometry import outline
+from evqr.paper.methods import descent, integrate
+from evqr.search.finder import find_hypotheses
 from evqr.solver import Sighting, Solver, StageClock, Unseen
-from evqr.stage_two import solve_modules
-from evqr.types import EventArray
-from evqr.windows import EventBuffer, Window
+from evqr.symbol.decode import Decoded, decode_grid
 
 METHODS = ("cold", "tracked", "integrate", "integrate4", "descent")
 

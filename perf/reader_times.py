@@ -19,11 +19,11 @@ import timing
 from table import Row, row
 
 from evqr import EventArray, ReadConfig, open_recording, read_codes, read_windows
-from evqr.region import outline
+from evqr.events.buffer import EventBuffer
+from evqr.fit.modules import solve_modules
+from evqr.geometry import outline
 from evqr.simulate import simulate
 from evqr.solver import Sighting, Solver
-from evqr.stage_two import solve_modules
-from evqr.windows import EventBuffer
 
 RATIOS = (("integrate", "cold", 1.0), ("integrate", "tracked", 4.0), ("descent", "tracked", 20.0))
 THREADS_RATIO = 1.7

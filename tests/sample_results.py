@@ -8,8 +8,9 @@ from typing import Any
 
 import numpy as np
 
+from evqr.events.array import EventArray
 from evqr.recording import save_recording
-from evqr.types import CodeReading, EventArray, ReadResult, ReadStatus, WindowReading
+from evqr.results import CodeReading, ReadResult, ReadStatus, WindowReading
 
 RNG = np.random.default_rng(5)
 MODULES = np.where(RNG.random((21, 21)) < 0.5, -1, 1).astype(np.int8)

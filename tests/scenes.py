@@ -5,10 +5,10 @@ from dataclasses import replace
 
 import numpy as np
 
+from evqr.events.array import EventArray
+from evqr.events.window import Window, make_window
 from evqr.simulate import CodePlacement, Simulation, simulate
 from evqr.simulate.geometry import transform
-from evqr.types import EventArray
-from evqr.windows import Window, make_window
 
 SMALL = {"width": 320, "height": 240, "threads": 1}
 

@@ -13,8 +13,9 @@ import numpy as np
 import pytest
 import sample_results
 
-from evqr import cli
-from evqr.types import ReadResult, ReadStatus
+from evqr import main as cli
+from evqr.cli import commands
+from evqr.results import ReadResult, ReadStatus
 
 READING_KEYS = (
     "status text bytes_base64 symbology version ec_level mask t_first_us t_last_us t_read_us windows "
@@ -29,7 +30,7 @@ WINDOW_KEYS = (
 @pytest.fixture(autouse=True)
 def compiled_kernels(monkeypatch):
     """No test here depends on whether this machine has run kernels before."""
-    monkeypatch.setattr("evqr.cli._prepare", lambda backend, device: None)
+    monkeypatch.setattr("evqr.cli.commands._prepare", lambda backend, device: None)
 
 
 @pytest.fixture
@@ -50,7 +51,7 @@ def reads(monkeypatch):
                 raise result
             return result
 
-        monkeypatch.setattr("evqr.reader.read_codes", read_codes)
+        monkeypatch.setattr("evqr.offline.read_codes", read_codes)
         return given
 
     return give
@@ -143,7 +144,7 @@ def test_each_window(capsys, monkeypatch, recording):
         window=1,
         **dict.fromkeys(("text", "version", "modules", "motion_px_per_s", "affine")),
     )
-    monkeypatch.setattr("evqr.reader.read_windows", lambda source, **options: iter([read, blank]))
+    monkeypatch.setattr("evqr.offline.read_windows", lambda source, **options: iter([read, blank]))
     status, out, _ = run(capsys, "read", recording, "--each-window", "--json")
     first, second = map(json.loads, out)
     assert status == 0
@@ -153,7 +154,7 @@ def test_each_window(capsys, monkeypatch, recording):
     assert first["affine"] == [0.25, 0.0, -10.5, 0.0, 0.25, -8.0]
     assert second["status"] == "no_code" and second["modules"] is None and second["affine"] is None
 
-    monkeypatch.setattr("evqr.reader.read_windows", lambda source, **options: iter([blank]))
+    monkeypatch.setattr("evqr.offline.read_windows", lambda source, **options: iter([blank]))
     status, out, _ = run(capsys, "read", recording, "--each-window")
     assert status == 1
     assert "no finder pattern" in out[0]
@@ -164,7 +165,7 @@ def test_windows_come_as_they_are_read_and_ctrl_c_ends_it(capsys, monkeypatch, r
         yield sample_results.WINDOW
         raise KeyboardInterrupt
 
-    monkeypatch.setattr("evqr.reader.read_windows", read_windows)
+    monkeypatch.setattr("evqr.offline.read_windows", read_windows)
     status, out, err = run(capsys, "read", recording, "--each-window", "--json")
     assert (status, len(out)) == (130, 1)
     assert err[-1] == "evqr: interrupted"
@@ -183,7 +184,7 @@ def test_many_recordings(capsys, monkeypatch, tmp_path):
         with open_recording(source):
             return results[Path(source)]
 
-    monkeypatch.setattr("evqr.reader.read_codes", read_codes)
+    monkeypatch.setattr("evqr.offline.read_codes", read_codes)
     status, out, err = run(capsys, "read", good, missing, blank, "--json")
     records = [json.loads(line) for line in out]
     assert [record["recording"] for record in records] == [str(good), str(missing), str(blank)]
@@ -274,9 +275,9 @@ def test_the_first_run_says_that_it_compiles(capsys, monkeypatch):
 
     kernels = Fresh()
     monkeypatch.setattr(evqr_kernels.backend, "get_backend", lambda name: kernels)
-    cli._prepare("auto", "cpu")
+    commands._prepare("auto", "cpu")
     assert "compiling kernels" in capsys.readouterr().err
-    cli._prepare("auto", "cpu")
+    commands._prepare("auto", "cpu")
     assert capsys.readouterr().err == ""
 
 
@@ -293,7 +294,7 @@ def test_warnings_of_a_recording_go_to_stderr(capsys, reads, tmp_path):
         return sample_results.read_result()
 
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr("evqr.reader.read_codes", read_codes)
+        patch.setattr("evqr.offline.read_codes", read_codes)
         status, out, err = run(capsys, "read", path, "--json", "--time-unit", "us")
     assert (status, given["n"]) == (0, len(events))
     assert [json.loads(line)["status"] for line in out] == ["read"]
@@ -307,7 +308,7 @@ def test_progress_on_a_terminal_only(capsys, monkeypatch, recording):
                 progress(done_us, 20_000)
         return sample_results.read_result()
 
-    monkeypatch.setattr("evqr.reader.read_codes", read_codes)
+    monkeypatch.setattr("evqr.offline.read_codes", read_codes)
     assert run(capsys, "read", recording)[2] == []
     monkeypatch.setattr(sys.stderr, "isatty", lambda: True, raising=False)
     status, out, err = run(capsys, "read", recording)
@@ -388,7 +389,8 @@ def test_unknown_errors_are_not_hidden(reads, recording):
 
 
 def test_result_of_an_error_has_no_seen(capsys):
-    from evqr import report
+
+    from evqr.output import records
 
     failed = ReadResult(ReadStatus.ERROR, "x.h5: the file is empty", (), {}, {}, "x.h5")
-    assert report.result_records(failed) == [{"status": "error", "reason": "x.h5: the file is empty"}]
+    assert records.result_records(failed) == [{"status": "error", "reason": "x.h5: the file is empty"}]

@@ -12,7 +12,7 @@ import sample_results
 
 from evqr.errors import RecordingError
 from evqr.many import read_many
-from evqr.types import ReadResult, ReadStatus
+from evqr.results import ReadResult, ReadStatus
 
 
 @pytest.fixture
@@ -28,7 +28,7 @@ def fake_reader(monkeypatch):
             raise ZeroDivisionError("division\nby zero")
         return ReadResult(ReadStatus.NO_READ, f"read {source}", (), {}, {}, source)
 
-    monkeypatch.setattr("evqr.reader.read_codes", read_codes)
+    monkeypatch.setattr("evqr.offline.read_codes", read_codes)
     return calls
 
 
@@ -83,7 +83,7 @@ def test_results_come_in_order_of_sources_not_of_completion(monkeypatch):
             second_is_done.set()
         return sample_results.no_read_result()
 
-    monkeypatch.setattr("evqr.reader.read_codes", read_codes)
+    monkeypatch.setattr("evqr.offline.read_codes", read_codes)
     with ThreadPoolExecutor(2) as executor:
         assert len(list(read_many(["first", "second"], executor=executor))) == 2
 
@@ -97,7 +97,7 @@ def test_leaving_early_cancels_what_has_not_begun(monkeypatch):
             assert release.wait(20)
         return sample_results.no_read_result()
 
-    monkeypatch.setattr("evqr.reader.read_codes", read_codes)
+    monkeypatch.setattr("evqr.offline.read_codes", read_codes)
     with ThreadPoolExecutor(1) as executor:
         results = read_many(["first", *map(str, range(20))], executor=executor)
         next(results)

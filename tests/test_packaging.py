@@ -21,7 +21,7 @@ def python(code: str) -> str:
     return subprocess.run(command, capture_output=True, text=True, check=True, timeout=60).stdout
 
 
-@pytest.mark.parametrize("package", ["evqr", "evqr_kernels", "evqr.types", "evqr.errors"])
+@pytest.mark.parametrize("package", ["evqr", "evqr_kernels", "evqr.results", "evqr.errors"])
 def test_import_loads_no_backend(package):
     loaded = python(f"import sys, {package}; print(*sys.modules)").split()
     assert package in loaded

@@ -10,11 +10,11 @@ import pytest
 import sample_results
 
 from evqr.errors import MissingExtra, UsageError
-from evqr.types import EventArray
+from evqr.events.array import EventArray
 
 pytest.importorskip("matplotlib", reason="extra 'plot' is not installed")
 
-from evqr import picture
+from evqr.output import picture
 
 
 def moving_dots(reading):

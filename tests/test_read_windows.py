@@ -9,8 +9,8 @@ import pytest
 from scenes import at, joined, noise, scene
 
 from evqr import ReadConfig, ReadStatus, Solver, read_windows
-from evqr.types import WindowReading
-from evqr.windows import make_window
+from evqr.events.window import make_window
+from evqr.results import WindowReading
 
 LONG = {"travel_px": 30.0}
 

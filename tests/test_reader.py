@@ -10,9 +10,10 @@ from scenes import at, joined, keep, middle_us, noise, scene, true_corners
 
 import evqr
 from evqr import ReadConfig, ReadStatus, Vote, read_codes, read_windows
-from evqr.initial.motion import Motion
+from evqr.events.array import EventArray
+from evqr.results import CodeReading
+from evqr.search.motion_estimate import Motion
 from evqr.simulate import CodePlacement, shuffled
-from evqr.types import CodeReading, EventArray
 from evqr_kernels import BackendUnavailable
 
 LONG = {"travel_px": 30.0}

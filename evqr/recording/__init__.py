@@ -14,8 +14,9 @@ from typing import Any
 
 from numpy.typing import NDArray
 
+from evqr.events.array import EventArray
+
 from ..errors import RecordingError, UsageError
-from ..types import EventArray
 from .arrays import open_arrays
 from .source import Source, TimeUnit
 from .stream import Recording

@@ -7,8 +7,9 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from evqr.events.array import EventArray
+
 from ..errors import RecordingError
-from ..types import EventArray
 from .columns import require_columns, require_equal_lengths
 from .source import DeclaredUnit, RawChunks, RawColumns, Source
 

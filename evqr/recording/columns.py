@@ -7,8 +7,9 @@ from collections.abc import Iterable
 import numpy as np
 from numpy.typing import NDArray
 
+from evqr.events.array import EventArray
+
 from ..errors import RecordingError
-from ..types import EventArray
 from .source import RawColumns, TimeUnit
 from .time_unit import PER_SECOND
 

@@ -13,8 +13,9 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from evqr.events.array import EventArray
+
 from ..errors import RecordingError
-from ..types import EventArray
 
 MAX_DISORDER_US = 50_000
 """How far the clock may jump back; a recording that jumps further is refused."""

@@ -8,8 +8,9 @@ from types import TracebackType
 
 import numpy as np
 
+from evqr.events.array import EventArray
+
 from ..errors import RecordingError
-from ..types import EventArray
 from .columns import ColumnChecker, check_sensor, check_times
 from .ordering import Disorder, in_order
 from .source import DeclaredUnit, RawColumns, Source, TimeUnit

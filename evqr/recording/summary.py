@@ -7,7 +7,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from ..types import EventArray
+from evqr.events.array import EventArray
+
 from .stream import Recording
 
 PEAK_BIN_US = 1_000

@@ -9,8 +9,9 @@ from typing import Any
 
 import numpy as np
 
+from evqr.events.array import EventArray
+
 from ..errors import RecordingError, UsageError
-from ..types import EventArray
 
 CHUNK_EVENTS = 1 << 16
 

@@ -20,7 +20,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from evqr.errors import UsageError
 from evqr.simulate.config import CodePlacement, SceneConfig
-from evqr.simulate.symbol import QUIET_MODULES, Symbol, make_symbol
+from evqr.simulate.printed import QUIET_MODULES, Symbol, make_symbol
 
 #: Travel of a recording whose duration is left open [px].
 DEFAULT_TRAVEL_PX = 40.0

@@ -9,10 +9,10 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from evqr.events.array import EventArray
 from evqr.simulate.config import SceneConfig, SensorConfig
 from evqr.simulate.geometry import Motion
 from evqr.simulate.texture import TEXELS, Texture
-from evqr.types import EventArray
 from evqr_kernels.backend import get_backend
 
 #: Travel before the recording starts, in which the pixels forget their initial state [px].

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from evqr.types import EventArray
+from evqr.events.array import EventArray
 
 
 def shuffled(events: EventArray, seed: int = 0) -> EventArray:

@@ -8,6 +8,7 @@ from typing import Any
 
 import numpy as np
 
+from evqr.events.array import EventArray
 from evqr.simulate.config import (
     PRESET_SPEEDS_PX_MS,
     CodePlacement,
@@ -17,11 +18,10 @@ from evqr.simulate.config import (
     sensor_of,
 )
 from evqr.simulate.geometry import in_a_row, plan_motion
+from evqr.simulate.printed import make_symbol
 from evqr.simulate.sensor import add_noise, draw_pixels, read_out, run_pixels
-from evqr.simulate.symbol import make_symbol
 from evqr.simulate.texture import draw_background, draw_object
 from evqr.simulate.truth import truth_of
-from evqr.types import EventArray
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)

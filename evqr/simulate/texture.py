@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 from evqr.errors import UsageError
 from evqr.simulate.config import SceneConfig
 from evqr.simulate.geometry import code_corners, code_to_object, transform
-from evqr.simulate.symbol import QUIET_MODULES, Symbol
+from evqr.simulate.printed import QUIET_MODULES, Symbol
 
 #: Texels a px along the travel and across it.  With the default blur of 0.6 px, 6 knots a px put a crossing
 #: within 0.011 px (rms 0.004 px) of where the continuous signal has it.

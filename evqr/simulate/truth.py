@@ -8,7 +8,7 @@ import numpy as np
 
 from evqr.simulate.config import SceneConfig
 from evqr.simulate.geometry import Motion, code_corners, code_to_object, transform
-from evqr.simulate.symbol import Symbol
+from evqr.simulate.printed import Symbol
 
 #: Time between two poses [us].
 POSE_PERIOD_US = 250

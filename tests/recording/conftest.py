@@ -3,7 +3,7 @@
 import pytest
 from recording_files import make_events
 
-from evqr.types import EventArray
+from evqr.events.array import EventArray
 
 
 @pytest.fixture

@@ -8,8 +8,8 @@ from pathlib import Path
 import h5py
 import numpy as np
 
+from evqr.events.array import EventArray
 from evqr.recording import save_recording
-from evqr.types import EventArray
 
 WIDTH, HEIGHT = 64, 48
 

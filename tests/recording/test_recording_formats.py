@@ -10,8 +10,8 @@ import pytest
 from recording_files import HEIGHT, WIDTH, WRITERS, assert_same_events, make_events, structured
 
 from evqr.errors import UsageError
+from evqr.events.array import EventArray
 from evqr.recording import open_recording, save_recording
-from evqr.types import EventArray
 
 SENSOR = (WIDTH, HEIGHT)
 

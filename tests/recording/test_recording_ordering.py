@@ -7,9 +7,9 @@ from hypothesis import strategies as st
 from recording_files import make_events
 
 from evqr.errors import RecordingError
+from evqr.events.array import EventArray
 from evqr.recording import open_recording
 from evqr.recording.ordering import MAX_DISORDER_US, Disorder, in_order
-from evqr.types import EventArray
 
 
 def disordered(seed: int, count: int, jitter_us: int) -> EventArray:

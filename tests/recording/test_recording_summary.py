@@ -4,8 +4,8 @@ import numpy as np
 import pytest
 from recording_files import HEIGHT, WIDTH, make_events
 
+from evqr.events.array import EventArray
 from evqr.recording import open_recording, summarise
-from evqr.types import EventArray
 
 
 def info_of(t, x, y, p, *, chunk_events=1 << 20):

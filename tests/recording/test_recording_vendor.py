@@ -9,9 +9,9 @@ from recording_files import HEIGHT, WIDTH, assert_same_events, make_events
 from vendor_files import FORMATS, write
 
 from evqr.errors import MissingExtra, RecordingError
+from evqr.events.array import EventArray
 from evqr.recording import open_recording
 from evqr.recording.aedat4 import _table_position
-from evqr.types import EventArray
 
 pytest.importorskip("eventcv")
 

@@ -6,7 +6,7 @@ from pathlib import Path
 
 import numpy as np
 
-from evqr.types import EventArray
+from evqr.events.array import EventArray
 
 # name: (suffix and format that eventcv wants, what evqr calls it, the package that decodes it)
 FORMATS: dict[str, tuple[str, str | None, str, str]] = {

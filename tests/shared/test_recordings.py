@@ -10,7 +10,7 @@ import pytest
 from scenes import at, true_corners
 
 import evqr
-from evqr.types import ReadStatus
+from evqr.results import ReadStatus
 
 SHARED = Path(__file__).parents[3] / "shared"
 SIMULATED = sorted((SHARED / "recordings").glob("*.h5"))

@@ -10,8 +10,8 @@ import pytest
 
 from evqr.simulate import CodePlacement, SceneConfig, SensorConfig
 from evqr.simulate.geometry import plan_motion, transform
+from evqr.simulate.printed import make_symbol
 from evqr.simulate.sensor import RUN_IN_PX, RawEvents, add_noise, draw_pixels, read_out, run_pixels
-from evqr.simulate.symbol import make_symbol
 from evqr.simulate.texture import TEXELS, draw_background, draw_object
 
 eventcv = pytest.importorskip("eventcv", reason="needs the extra formats: pip install 'evqr[formats]'")

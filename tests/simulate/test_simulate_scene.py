@@ -9,7 +9,7 @@ import segno
 from evqr.errors import UsageError
 from evqr.simulate import PRESETS, CodePlacement, SceneConfig, SensorConfig, shuffled, simulate
 from evqr.simulate.geometry import code_corners, plan_motion, transform
-from evqr.simulate.symbol import make_symbol
+from evqr.simulate.printed import make_symbol
 from evqr.simulate.texture import gaussian_blur
 
 #: A sensor that hardly says anything, for tests of the truth alone.

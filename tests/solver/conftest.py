@@ -9,8 +9,8 @@ from scenes import at, corners, middle_us, window_of
 from steps import deposit, sharpen
 
 from evqr.config import StageOneConfig
-from evqr.region import Region, region_around
-from evqr.windows import Window
+from evqr.events.window import Window
+from evqr.fit.region import Region, region_around
 from evqr.workspace import Workspace
 from evqr_kernels.backend import get_backend
 

@@ -1,7 +1,7 @@
 """Single steps of the solver, which runs them as parts of larger ones."""
 
-from evqr.region import Sharpen, depositing
-from evqr.stage_two import Equations
+from evqr.fit.image import Sharpen, depositing
+from evqr.fit.modules import Equations
 
 
 def deposit(window, velocity, region, *, workspace):

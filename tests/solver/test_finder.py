@@ -7,7 +7,7 @@ import pytest
 from scenes import at, corners, middle_us, scene, transform, window_of
 
 from evqr.config import FinderConfig
-from evqr.initial.finder import Match, find_hypotheses
+from evqr.search.finder import Match, find_hypotheses
 
 CONFIG = FinderConfig()
 

@@ -6,9 +6,9 @@ from scenes import scene
 from steps import deposit
 
 from evqr.config import StageOneConfig
-from evqr.lag import estimate_lag
+from evqr.fit.align import align, fine_levels
+from evqr.fit.lag import estimate_lag
 from evqr.simulate import SensorConfig
-from evqr.stage_one import align, fine_levels
 
 CONFIG = StageOneConfig()
 

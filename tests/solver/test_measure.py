@@ -6,12 +6,13 @@ from scenes import at, middle_us, scene, window_of
 from steps import deposit, normal_equations, sharpen
 
 from evqr.config import ReadConfig
-from evqr.decode import Decoded, decode_grid
-from evqr.measure import Measure, measure
-from evqr.model import QUIET_MODULES, lattice, profiles
-from evqr.region import depositing, region_around
-from evqr.stage_one import align, fine_levels
-from evqr.stage_two import REACH, SUPPORT, Solution
+from evqr.fit.align import align, fine_levels
+from evqr.fit.image import depositing
+from evqr.fit.measure import Measure, measure
+from evqr.fit.model import QUIET_MODULES, lattice, profiles
+from evqr.fit.modules import REACH, SUPPORT, Solution
+from evqr.fit.region import region_around
+from evqr.symbol.decode import Decoded, decode_grid
 
 CONFIG = ReadConfig()
 LAG_PX = (0.4, 0.7)

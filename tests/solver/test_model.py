@@ -5,8 +5,8 @@ import math
 import numpy as np
 import pytest
 
-from evqr.codespace import code_space
-from evqr.model import MOMENTS, QUIET_MODULES, lattice, pose_table, profiles
+from evqr.fit.model import MOMENTS, QUIET_MODULES, lattice, pose_table, profiles
+from evqr.symbol.space import code_space
 
 SIGMAS = [0.25, 0.36, 0.5, 0.9]
 

@@ -5,9 +5,10 @@ import pytest
 from scenes import noise, scene, window_of
 
 from evqr.config import MotionConfig
-from evqr.initial.motion import estimate_motion, find_motion, window_length_us
-from evqr.types import EventArray
-from evqr.windows import EventBuffer, Window, make_window
+from evqr.events.array import EventArray
+from evqr.events.buffer import EventBuffer
+from evqr.events.window import Window, make_window
+from evqr.search.motion_estimate import estimate_motion, find_motion, window_length_us
 
 CONFIG = MotionConfig()
 

@@ -7,8 +7,8 @@ import pytest
 from scenes import at, corners, middle_us, moved, scene, window_of
 
 from evqr.config import FinderConfig, StageOneConfig
-from evqr.initial.finder import Hypothesis, find_hypotheses
-from evqr.initial.pose import batches, screen
+from evqr.search.finder import Hypothesis, find_hypotheses
+from evqr.search.screen import batches, screen
 
 CONFIG = StageOneConfig()
 

@@ -6,10 +6,11 @@ from scenes import scene, window_of
 from steps import deposit, sharpen
 
 from evqr.config import StageOneConfig
-from evqr.model import QUIET_MODULES
-from evqr.region import Region, module_px, outline, region_around
-from evqr.types import EventArray
-from evqr.windows import Window
+from evqr.events.array import EventArray
+from evqr.events.window import Window
+from evqr.fit.model import QUIET_MODULES
+from evqr.fit.region import Region, region_around
+from evqr.geometry import module_px, outline
 
 CONFIG = StageOneConfig()
 

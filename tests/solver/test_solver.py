@@ -7,12 +7,12 @@ import pytest
 from scenes import at, corners, middle_us, noise, scene, window_of
 
 from evqr.config import ReadConfig
-from evqr.decode import Decoded, decode_grid
-from evqr.initial.motion import Motion
+from evqr.events.array import EventArray
+from evqr.events.window import make_window
+from evqr.fit.modules import solve_modules
+from evqr.search.motion_estimate import Motion
 from evqr.solver import Sighting, Solver, Unseen
-from evqr.stage_two import solve_modules
-from evqr.types import EventArray
-from evqr.windows import make_window
+from evqr.symbol.decode import Decoded, decode_grid
 
 
 @pytest.fixture(scope="module")

@@ -7,7 +7,7 @@ import pytest
 from scenes import moved, scene
 
 from evqr.config import StageOneConfig
-from evqr.stage_one import align, coarse_levels, escape_side_minimum, fine_levels, shifted
+from evqr.fit.align import align, coarse_levels, escape_side_minimum, fine_levels, shifted
 
 CONFIG = StageOneConfig()
 

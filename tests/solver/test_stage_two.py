@@ -8,10 +8,10 @@ import pytest
 from scenes import scene
 from steps import normal_equations
 
-from evqr.codespace import code_space
 from evqr.config import StageOneConfig, StageTwoConfig
-from evqr.stage_one import align, fine_levels
-from evqr.stage_two import NormalEquations, solve_modules
+from evqr.fit.align import align, fine_levels
+from evqr.fit.modules import NormalEquations, solve_modules
+from evqr.symbol.space import code_space
 
 ONE = StageOneConfig()
 CONFIG = StageTwoConfig()

@@ -6,11 +6,11 @@ import pytest
 from scenes import middle_us, scene
 from steps import normal_equations
 
-from evqr.codespace import code_space
 from evqr.config import StageOneConfig, StageTwoConfig, Vote
-from evqr.stage_one import align, fine_levels
-from evqr.stage_two import solve_modules
-from evqr.vote import Tally
+from evqr.fit.align import align, fine_levels
+from evqr.fit.fusion import Tally
+from evqr.fit.modules import solve_modules
+from evqr.symbol.space import code_space
 
 ONE = StageOneConfig()
 CONFIG = StageTwoConfig()

@@ -8,8 +8,9 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from evqr.types import EventArray
-from evqr.windows import EventBuffer, make_window
+from evqr.events.array import EventArray
+from evqr.events.buffer import EventBuffer
+from evqr.events.window import make_window
 
 COLUMNS = "xytp"
 

@@ -3,8 +3,9 @@
 import numpy as np
 import pytest
 
-from evqr.types import EventArray
-from evqr.windows import EventBuffer, make_window
+from evqr.events.array import EventArray
+from evqr.events.buffer import EventBuffer
+from evqr.events.window import make_window
 from evqr.workspace import Workspace
 from evqr_kernels import get_backend
 

@@ -1,0 +1,1 @@
+"""The commands of the product, and what all commands share."""

@@ -1,0 +1,157 @@
+"""What commands share: types of options, options, notes, progress, pools of processes."""
+
+from __future__ import annotations
+
+import multiprocessing
+import os
+import signal
+import sys
+import threading
+from collections.abc import Callable, Iterator
+from concurrent.futures import ProcessPoolExecutor
+from contextlib import contextmanager
+from typing import Any
+
+import click
+
+OK, NOTHING, BAD, INTERRUPTED, PIPE_CLOSED = 0, 1, 2, 130, 141
+"""Exit statuses: something read, nothing read, bad input or use, Ctrl-C, the reader of our output left."""
+
+COMPILING = "compiling kernels for this machine (first run only) ..."
+
+
+class SizeType(click.ParamType):
+    """``WxH`` in pixels."""
+
+    name = "WxH"
+
+    def convert(
+        self, value: Any, param: click.Parameter | None, ctx: click.Context | None
+    ) -> tuple[int, int]:
+        """Return (width, height)."""
+        if isinstance(value, tuple):
+            return value
+        width, _, height = str(value).lower().partition("x")
+        if not (width.isdecimal() and height.isdecimal() and int(width) and int(height)):
+            self.fail(
+                f"{value!r} is no sensor size; write it as width x height, for example 640x480", param, ctx
+            )
+        return int(width), int(height)
+
+
+class LagType(click.ParamType):
+    """``ON,OFF`` in microseconds."""
+
+    name = "ON,OFF"
+
+    def convert(
+        self, value: Any, param: click.Parameter | None, ctx: click.Context | None
+    ) -> tuple[float, float]:
+        """Return the lags of ON and of OFF events [us]."""
+        if isinstance(value, tuple):
+            return value
+        try:
+            on, off = (float(part) for part in str(value).split(","))
+        except ValueError:
+            self.fail(
+                f"{value!r} is no pair of lags; write microseconds as ON,OFF, for example 300,600", param, ctx
+            )
+        return on, off
+
+
+def note(message: str) -> None:
+    """Say something that is no result."""
+    click.echo(f"evqr: {message}", err=True)
+
+
+def examples(*lines: str) -> str:
+    """Give a command's epilog."""
+    return "\b\nExamples:\n" + "\n".join(
+        f"  {line}" for line in lines
+    )  # \b: click leaves the lines as they are
+
+
+def recording_options(command: Callable[..., Any]) -> Callable[..., Any]:
+    """Add the options that say what a recording does not."""
+    for option in (
+        click.option(
+            "--time-unit",
+            type=click.Choice(["us", "ms", "s", "ns"]),
+            help="Unit of the stored time stamps, where the recording does not tell.",
+        ),
+        click.option(
+            "--sensor", type=SizeType(), metavar="WxH", help="Sensor size, where the recording does not tell."
+        ),
+    ):
+        command = option(command)
+    return command
+
+
+def backend_options(command: Callable[..., Any]) -> Callable[..., Any]:
+    """Add the options that say where to compute."""
+    for option in (
+        click.option(
+            "--threads",
+            type=click.IntRange(min=1),
+            metavar="N",
+            help="Windows worked on at a time, a CPU thread each; default 1.",
+        ),
+        click.option(
+            "--device", default="cpu", show_default=True, help='Where to compute: "cpu", "cuda:0", ...'
+        ),
+        click.option(
+            "--backend",
+            type=click.Choice(["auto", "warp", "taichi", "numpy"]),
+            default="auto",
+            show_default=True,
+            help="What runs the kernels.",
+        ),
+    ):
+        command = option(command)
+    return command
+
+
+def _begin_worker() -> None:
+    """Let a worker end at once, without a traceback, on Ctrl-C, which reaches it too, and with its parent.
+
+    A worker of a parent that was killed would work on what was handed out, and then wait for ever.
+    """
+    signal.signal(signal.SIGINT, signal.SIG_DFL)
+    parent = multiprocessing.parent_process()
+    if parent is not None:
+        threading.Thread(target=lambda: (parent.join(), os._exit(1)), daemon=True).start()
+
+
+@contextmanager
+def process_pool(jobs: int) -> Iterator[ProcessPoolExecutor | None]:
+    """Start workers as fresh processes: kernels and their threads do not survive a fork."""
+    if jobs == 1:
+        yield None
+        return
+    pool = ProcessPoolExecutor(
+        jobs,
+        mp_context=multiprocessing.get_context("spawn"),
+        initializer=_begin_worker,
+    )
+    try:
+        yield pool
+    finally:
+        pool.shutdown(cancel_futures=True)
+
+
+@contextmanager
+def progress_bar(name: str) -> Iterator[Callable[[int, int | None], None] | None]:
+    """Show a bar over the time of the recording, on a terminal only."""
+    if not sys.stderr.isatty():
+        yield None
+        return
+    from tqdm import tqdm
+
+    layout = "{l_bar}{bar}| {n_fmt}/{total_fmt} ms of events [{elapsed}]"
+    with tqdm(desc=name, bar_format=layout, leave=False) as bar:
+
+        def advance(done_us: int, total_us: int | None) -> None:
+            bar.total = None if total_us is None else total_us // 1000
+            bar.update(done_us // 1000 - bar.n)
+
+        yield advance

@@ -1,0 +1,1 @@
+"""Events: columns, windows, and the buffer of a stream."""

@@ -1,0 +1,98 @@
+"""Windows of events, with times relative to a reference, and the buffer that they are cut from."""
+
+from __future__ import annotations
+
+from functools import cached_property
+
+import numpy as np
+from numpy.typing import NDArray
+
+from evqr.events.array import EventArray
+
+
+class Window:
+    """Events of one window, with times relative to its middle.
+
+    The middle is the reference: an error of the motion then blurs the window, but does not move the code.
+
+    Attributes
+    ----------
+    events             as recorded, in order of time
+    start_us, end_us   bounds, the end not included [us]
+    origin             what the events were cut from, and the first of them there: windows that share it share
+                       their first events.  None: unknown
+    """
+
+    def __init__(
+        self, events: EventArray, start_us: int, end_us: int, *, origin: tuple[EventArray, int] | None = None
+    ) -> None:
+        self.events = events
+        self.start_us = start_us
+        self.end_us = end_us
+        self.origin = origin
+
+    def __len__(self) -> int:
+        return len(self.events)
+
+    @property
+    def width(self) -> int:
+        """Of the sensor [px]."""
+        return self.events.width
+
+    @property
+    def height(self) -> int:
+        """Of the sensor [px]."""
+        return self.events.height
+
+    @property
+    def seconds(self) -> float:
+        """Length of the window [s]."""
+        return (self.end_us - self.start_us) * 1e-6
+
+    @property
+    def middle_us(self) -> int:
+        """Reference time of the window: its middle, to the microsecond [us]."""
+        return (self.start_us + self.end_us) // 2
+
+    def begins_like(self, other: Window) -> bool:
+        """Whether the shorter of the two is the beginning of the other, so that it has the same events."""
+        if self.origin is None or other.origin is None:
+            return self is other
+        return self.origin[0] is other.origin[0] and self.origin[1] == other.origin[1]
+
+    @cached_property
+    def x(self) -> NDArray[np.float32]:
+        """Columns (E,) [px]."""
+        return self.events.x.astype(np.float32)
+
+    @cached_property
+    def y(self) -> NDArray[np.float32]:
+        """Rows (E,) [px]."""
+        return self.events.y.astype(np.float32)
+
+    @cached_property
+    def t(self) -> NDArray[np.float32]:
+        """Times (E,), ascending [s]."""
+        times = np.empty(len(self), np.float32)
+        self.write_times(times)
+        return times * np.float32(1e-6)
+
+    @cached_property
+    def p(self) -> NDArray[np.float32]:
+        """Polarities (E,), -1 or +1."""
+        return self.events.p.astype(np.float32)
+
+    def write_times(self, out: NDArray[np.float32]) -> None:
+        """Write the times, in microseconds, to an array of the caller's."""
+        np.subtract(self.events.t, self.middle_us, out=out, casting="unsafe")
+
+    def keep(self, mask: NDArray[np.bool_]) -> Window:
+        """Give the window with only the events where ``mask``."""
+        e = self.events
+        kept = EventArray(e.t[mask], e.x[mask], e.y[mask], e.p[mask], e.width, e.height)
+        return Window(kept, self.start_us, self.end_us)
+
+
+def make_window(events: EventArray, start_us: int, end_us: int) -> Window:
+    """Cut a window out of events in order of time."""
+    return Window(events.between(start_us, end_us), start_us, end_us)

@@ -1,0 +1,234 @@
+"""Stage one: pose and gain from the known modules, by inverse-compositional Gauss-Newton.
+
+The residual of a sample at code coordinates (u, v) is ``e + a_u L_u + a_v L_v``: e the event image seen
+through the pose, L the model (`evqr.fit.model`), and the gain a = (a_u, a_v) the motion in modules times
+contrast over threshold, so that neither contrast nor threshold need be known.  A small affine motion of the
+model changes it by ``G_u (1, u, v), G_v (1, u, v)`` with ``G_u = a_u L_uu + a_v L_uv`` and
+``G_v = a_u L_uv + a_v L_vv``; perspective adds ``G_u uu + G_v uv, G_u uv + G_v vv``.  All of these are linear
+in a with columns that are known beforehand, so the Gauss-Newton matrix comes from a table (`PoseTable.gram`)
+and the image enters by its moments with that table alone (`evqr_kernels`, align_poses).
+"""
+
+from __future__ import annotations
+
+import functools
+from dataclasses import dataclass, replace
+from typing import Any
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from evqr.config import StageOneConfig
+from evqr.fit.model import MOMENTS, pose_table
+from evqr.workspace import Step, Workspace
+
+RIDGE = 1e-3
+"""Regularises the gain where the known modules leave a direction open, relative to the trace."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class Level:
+    """One step from coarse to fine.
+
+    Attributes
+    ----------
+    sigma       blur of the model [modules]
+    samples     a module
+    tilt        whether perspective is free
+    tolerance   step at which it has converged [modules]
+    """
+
+    sigma: float
+    samples: int
+    tilt: bool
+    tolerance: float
+
+
+def coarse_levels(cfg: StageOneConfig) -> tuple[Level, ...]:
+    """Give the levels that a pose from the search goes through before the last."""
+    return tuple(
+        Level(sigma=sigma, samples=samples, tilt=False, tolerance=cfg.coarse_tolerance)
+        for sigma, samples in cfg.coarse_levels
+    )
+
+
+def fine_levels(cfg: StageOneConfig) -> tuple[Level, ...]:
+    """Give the levels for a pose that is known to a fraction of a module."""
+    return (Level(sigma=cfg.sigma, samples=cfg.samples, tilt=True, tolerance=cfg.tolerance),)
+
+
+@dataclass(frozen=True, eq=False)
+class Alignment:
+    """Poses of N hypotheses after stage one.
+
+    Attributes
+    ----------
+    pose : (N, 3, 3)    code coordinates to cells of the image
+    gain : (N, 2)       a_u, a_v
+    score : (N,)        normalised correlation of the model with the image on the known modules, -1 to 1
+    noise : (N,)        variance of what the model leaves unexplained, a sample
+    iterations          Gauss-Newton steps taken, over all levels
+    """
+
+    pose: NDArray[np.float64]
+    gain: NDArray[np.float64]
+    score: NDArray[np.float64]
+    noise: NDArray[np.float64]
+    iterations: int
+
+    @property
+    def best(self) -> int:
+        """The hypothesis with the highest score."""
+        scores = self.score.tolist()
+        return scores.index(max(scores))
+
+    def only(self, which: int) -> Alignment:
+        """Give one hypothesis alone."""
+        pick = slice(which, which + 1)
+        return Alignment(
+            self.pose[pick], self.gain[pick], self.score[pick], self.noise[pick], self.iterations
+        )
+
+
+@functools.cache
+def _terms(tilt: bool) -> tuple[NDArray[np.int32], NDArray[np.int32]]:
+    """Give the table's columns that make up each of the Jacobian's, and their factors, (P + 2, 4) each.
+
+    Factors: 0 nothing, 1 a_u, 2 a_v, 3 one.
+    """
+    uu, uv, vv = 0, 6, 12  # where L_uu, L_uv, L_vv start in the table; behind each: 1, u, v, uu, uv, vv
+    rows: list[tuple[tuple[int, int], ...]] = [((uu + w, 1), (uv + w, 2)) for w in range(3)]
+    rows += [((uv + w, 1), (vv + w, 2)) for w in range(3)]
+    if tilt:
+        for first, second in ((3, 4), (4, 5)):
+            rows.append(((uu + first, 1), (uv + first, 2), (uv + second, 1), (vv + second, 2)))
+    rows += [((MOMENTS - 2, 3),), ((MOMENTS - 1, 3),)]
+    padded = np.array([[*row, *[(0, 0)] * (4 - len(row))] for row in rows], np.int32)
+    return np.ascontiguousarray(padded[..., 0]), np.ascontiguousarray(padded[..., 1])
+
+
+class Align(Step):
+    """Refines the poses of N hypotheses of one version, each on one of some images, over levels."""
+
+    def __init__(
+        self, images: Any, count: int, version: int, levels: tuple[Level, ...], max_iterations: int,
+        cfg: StageOneConfig, workspace: Workspace,
+    ) -> None:  # fmt: skip
+        super().__init__(workspace.backend)
+        self._images, self._max_iterations = images, max_iterations
+        self._image_idx = workspace.mirror((count,), np.int32)
+        self._tables = [_tables(version, level, cfg, workspace) for level in levels]
+        self._results = [workspace.mirror((count, 5)) for _ in levels]
+        self._pose = workspace.mirror((count, 9))
+
+    @property
+    def pose(self) -> Any:
+        """Poses (N, 9) on the device."""
+        return self._pose.device
+
+    @property
+    def gain(self) -> Any:
+        """Gains (N, 2) on the device."""
+        return self._results[-1].device[:, :2]
+
+    def write(self, pose: NDArray[np.float64], image_idx: ArrayLike) -> None:
+        """Say where to start (N, 3, 3) and on which images."""
+        self._pose.write(pose.reshape(-1, 9))
+        self._image_idx.write(image_idx)
+
+    def launch(self) -> None:
+        """Launch the kernels one by one."""
+        for tables, result in zip(self._tables, self._results, strict=True):
+            self._backend.align_poses(
+                self._images, self._image_idx.device, *tables, self._max_iterations, self._pose.device,
+                result.device,
+            )  # fmt: skip
+
+    def read(self) -> Alignment:
+        """Wait for the device and give what came out."""
+        last = self._results[-1].read().astype(np.float64)
+        return Alignment(
+            self._pose.read().astype(np.float64).reshape(-1, 3, 3),
+            last[:, :2],
+            last[:, 2],
+            last[:, 3],
+            sum(int(max(result.read()[:, 4].tolist())) for result in self._results),
+        )
+
+
+def align(
+    image: Any,
+    pose: NDArray[np.float64],
+    version: int,
+    levels: tuple[Level, ...],
+    cfg: StageOneConfig,
+    *,
+    workspace: Workspace,
+    image_idx: NDArray[np.int32] | None = None,
+    max_iterations: int | None = None,
+) -> Alignment:
+    """Refine the poses of N hypotheses of one version.
+
+    Parameters
+    ----------
+    image : (B, Y, X) float32     event images on the device
+    pose : (N, 3, 3)              code coordinates to cells
+    levels                        coarse to fine
+    image_idx : (N,) int32        image of each hypothesis; default the first
+    max_iterations                at each level, default the configured; 0 scores the poses as they are
+    """
+    most = cfg.max_iterations if max_iterations is None else max_iterations
+    step = workspace.once(
+        ("align", id(image), version, levels, len(pose), most, cfg),
+        lambda: Align(image, len(pose), version, levels, most, cfg, workspace),
+    )
+    step.write(pose, 0 if image_idx is None else image_idx)
+    step.run()
+    return step.read()
+
+
+_Tables = tuple[Any, Any, Any, Any, Any, Any]
+
+
+def _tables(version: int, level: Level, cfg: StageOneConfig, workspace: Workspace) -> _Tables:
+    """Give what `align_poses` takes of a level: points, table, gram, terms, factors, settings."""
+    table = pose_table(version, level.sigma, level.samples)
+    terms, factors = _terms(level.tilt)
+    settings = (table.centre, table.scale, RIDGE, cfg.damping, level.tolerance)
+    return (
+        workspace.table(("points", version, level), table.points),
+        workspace.table(("table", version, level), table.table),
+        workspace.table(("gram", version, level), table.gram.astype(np.float32)),
+        workspace.table(("terms", level.tilt), terms),
+        workspace.table(("factors", level.tilt), factors),
+        workspace.put(np.array(settings, np.float32)),
+    )
+
+
+def shifted(pose: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Give a pose (3, 3) and its neighbours one module away, (9, 3, 3); the pose itself is the fifth."""
+    steps = np.tile(np.eye(3), (9, 1, 1))
+    steps[:, 0, 2] = np.tile((-1.0, 0.0, 1.0), 3)
+    steps[:, 1, 2] = np.repeat((-1.0, 0.0, 1.0), 3)
+    return pose @ steps
+
+
+def escape_side_minimum(
+    image: Any, found: Alignment, version: int, cfg: StageOneConfig, *, workspace: Workspace
+) -> Alignment:
+    """Look at the poses one module away from one that was refined from the search.
+
+    The cost has a side minimum one module off, where finder patterns half agree.  Unless the score is better
+    than that allows, the neighbours are looked at, not refined: from a side minimum the true pose is exactly
+    one module away.  Gives ``found`` itself where none of them is better.
+    """
+    if found.score[0] >= cfg.good_score:
+        return found
+    levels = fine_levels(cfg)
+    around = shifted(found.pose[0])
+    scored = align(image, around, version, levels[-1:], cfg, workspace=workspace, max_iterations=0)
+    best = scored.best
+    if scored.score[best] <= found.score[0] + cfg.shift_gain:
+        return found
+    again = align(image, around[best : best + 1], version, levels, cfg, workspace=workspace)
+    return replace(again, iterations=found.iterations + again.iterations)

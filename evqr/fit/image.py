@@ -1,0 +1,94 @@
+"""The image of a region: events deposited on its cells, blurred, with the pixels' lag undone."""
+
+from __future__ import annotations
+
+import functools
+import math
+from collections.abc import Sequence
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from evqr.events.window import Window
+from evqr.fit.region import Region
+from evqr.workspace import EventSlots, Step, Workspace
+
+BLUR_CELLS = 0.55
+"""Blur of a region's image beyond that of the deposit, whose tent has 0.41 [cells]."""
+
+
+class Deposit(Step):
+    """Events, transported to the middle of their window, on cells (1, 2, height, width)."""
+
+    def __init__(self, events: EventSlots, height: int, width: int, workspace: Workspace) -> None:
+        super().__init__(workspace.backend)
+        self._events = events
+        self._ptr, self._motion = workspace.mirror((2,), np.int32), workspace.mirror((1, 2))
+        self._frame = workspace.mirror((1, 3))
+        self.cells = workspace.empty(1, 2, height, width)
+
+    def write(self, window: Window, velocity: NDArray[np.float64], region: Region) -> None:
+        """Say which events, how they move and where the cells are."""
+        self._ptr.write((0, len(window)))
+        self._motion.write(velocity * 1e-6)  # times on the device are in microseconds
+        self._frame.write((region.x + 0.5, region.y + 0.5, region.cell))
+
+    def launch(self) -> None:
+        """Launch the kernels one by one."""
+        events = self._events
+        self._backend.clear(self.cells)
+        self._backend.deposit_events(
+            events.x, events.y, events.t, events.p, self._ptr.device, self._motion.device, self._frame.device,
+            self.cells,
+        )  # fmt: skip
+
+
+class Sharpen(Step):
+    """Blurs a deposit and undoes the pixels' lag, for a number of pairs of lags: (N, height, width)."""
+
+    def __init__(self, cells: Any, count: int, workspace: Workspace) -> None:
+        super().__init__(workspace.backend)
+        height, width = cells.shape[2:]
+        self._cells = cells
+        self._direction, self._lag = workspace.mirror((count, 2)), workspace.mirror((count, 2))
+        self._rows = workspace.empty(count, 2, height, width)
+        self._first = workspace.put(np.zeros(count, np.int32))
+        self._taps = workspace.put(blur_taps(BLUR_CELLS))
+        self.images = workspace.empty(count, height, width)
+
+    def write(
+        self, velocity: NDArray[np.float64], region: Region, lags_px: Sequence[tuple[float, float]]
+    ) -> None:
+        """Say which lags (ON, OFF) along which motion."""
+        self._direction.write(velocity / max(math.hypot(*velocity), 1e-9))
+        self._lag.write(np.divide(lags_px, region.cell))
+
+    def launch(self) -> None:
+        """Launch the kernels one by one."""
+        self._backend.lag_operator(
+            self._cells, self._first, self._direction.device, self._lag.device, self._taps, self._rows,
+            self.images,
+        )  # fmt: skip
+
+
+def depositing(
+    window: Window, velocity: NDArray[np.float64], region: Region, *, workspace: Workspace
+) -> Deposit:
+    """Make ready to deposit a window's events on a region, over the last deposit on one of this size."""
+    events = workspace.events(window)
+    step = workspace.once(
+        ("deposit", region.height, region.width, events.capacity),
+        lambda: Deposit(events, region.height, region.width, workspace),
+    )
+    step.write(window, velocity, region)
+    return step
+
+
+@functools.cache
+def blur_taps(sigma: float) -> NDArray[np.float32]:
+    """(2, 5): a Gaussian on five cells that sums to 1, and its slope, exact for a linear image."""
+    steps = np.arange(-2, 3)
+    blur = np.exp(-0.5 * (steps / sigma) ** 2)
+    slope = steps * blur
+    return np.stack([blur / blur.sum(), slope / (slope * steps).sum()]).astype(np.float32)

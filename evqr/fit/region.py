@@ -1,0 +1,60 @@
+"""The image around one code: events brought onto cells that are a fixed fraction of a module."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from evqr.config import StageOneConfig
+from evqr.fit.model import QUIET_MODULES
+from evqr.geometry import module_px, outline
+
+GRAIN = 16
+"""Regions grow in steps of so many cells, so that their buffers are used again."""
+
+
+@dataclass(frozen=True, eq=False)
+class Region:
+    """A rectangle of the image, cut into cells.
+
+    Attributes
+    ----------
+    x, y            outer corner of the first cell [px]
+    cell            size of a cell [px]
+    height, width   [cells]
+    """
+
+    x: float
+    y: float
+    cell: float
+    height: int
+    width: int
+
+    @property
+    def from_px(self) -> NDArray[np.float64]:
+        """(3, 3) map of px to cells, integers at cell centres."""
+        s = 1.0 / self.cell
+        return np.array([[s, 0.0, -self.x * s - 0.5], [0.0, s, -self.y * s - 0.5], [0.0, 0.0, 1.0]])
+
+    @property
+    def to_px(self) -> NDArray[np.float64]:
+        """(3, 3) map of cells to px."""
+        s = self.cell
+        return np.array([[s, 0.0, self.x + 0.5 * s], [0.0, s, self.y + 0.5 * s], [0.0, 0.0, 1.0]])
+
+
+def region_around(
+    pose: NDArray[np.float64], size: int, cfg: StageOneConfig, *, margin_px: float = 0.0
+) -> Region:
+    """Give the region that holds a code and its quiet zone."""
+    corners = outline(pose, size, QUIET_MODULES + 1.0)
+    cell = module_px(pose, size) / cfg.cells_a_module
+    low = [min(along) - margin_px for along in corners.T.tolist()]
+    high = [max(along) + margin_px for along in corners.T.tolist()]
+    width, height = (
+        math.ceil((last - first) / cell / GRAIN) * GRAIN for first, last in zip(low, high, strict=True)
+    )
+    return Region(low[0], low[1], cell, height, width)

@@ -1,0 +1,239 @@
+"""Recordings to readings: every code that passes, or windows one by one."""
+
+from __future__ import annotations
+
+import itertools
+import time
+from collections import deque
+from collections.abc import Iterator
+from concurrent.futures import Future, ThreadPoolExecutor
+from contextlib import ExitStack
+from dataclasses import dataclass
+from queue import SimpleQueue
+from typing import TYPE_CHECKING, Any
+
+from evqr.events.buffer import EventBuffer
+from evqr.fit.modules import solve_modules
+from evqr.geometry import affine_to_code
+from evqr.recording import Recording, open_recording
+from evqr.results import ReadResult, ReadStatus, WindowReading
+from evqr.solver import Sighting, Solver, StageClock, Unseen
+from evqr.stream.scheduler import Passes, Progress
+from evqr.symbol.decode import Decoded, decode_grid
+
+if TYPE_CHECKING:
+    from evqr.config import ReadConfig
+    from evqr.recording import TimeUnit
+
+WINDOWS_A_JOB = 4
+"""Windows that a thread reads before it asks for more: each time it may have to wait for the GIL."""
+
+
+def read_codes(
+    source: Any,
+    *,
+    config: ReadConfig | None = None,
+    sensor: tuple[int, int] | None = None,
+    time_unit: TimeUnit | None = None,
+    backend: str = "auto",
+    device: str = "cpu",
+    threads: int | None = None,
+    progress: Progress | None = None,
+) -> ReadResult:
+    """Read every code that passes, each once.
+
+    Parameters
+    ----------
+    source      path, `EventArray`, structured array, (t, x, y, p) arrays, or an open `Recording`
+    config      what to do; default `ReadConfig()`
+    sensor      (width, height) where the source does not tell [px]
+    time_unit   "us", "ms", "s" or "ns" where neither source nor numbers tell
+    backend     "auto", "warp", "numpy", or a registered name
+    device      "cpu", "cuda:0", ...
+    threads     windows searched at once; default 1, at most as many as there are cores
+    progress    called with the event time done and the whole duration, None while unknown [us]
+
+    Returns
+    -------
+    ReadResult  READ with the readings in order of time, or NO_READ with the reason
+
+    Raises
+    ------
+    RecordingError, MissingExtra   the source cannot be read
+    BackendUnavailable             the backend cannot be had
+    """
+    started = time.perf_counter()
+    with ExitStack() as stack:
+        recording, path = _open(source, sensor, time_unit, stack)
+        solvers, pool = _solvers(threads, stack, config=config, backend=backend, device=device)
+        passes = Passes(solvers, EventBuffer(recording.chunks()), recording, pool=pool, progress=progress)
+        passes.run()
+        seen = passes.seen()
+    compute = {**passes.clock.ms, "total": 1e3 * (time.perf_counter() - started)}
+    readings = tuple(sorted(passes.readings, key=lambda r: r.t_read_us))
+    status = ReadStatus.READ if readings else ReadStatus.NO_READ
+    return ReadResult(status, "" if readings else passes.why_nothing(), readings, seen, compute, path)
+
+
+def _open(
+    source: Any, sensor: tuple[int, int] | None, time_unit: TimeUnit | None, stack: ExitStack
+) -> tuple[Recording, str]:
+    if isinstance(source, Recording):
+        return source, source.path
+    recording = stack.enter_context(open_recording(source, sensor=sensor, time_unit=time_unit))
+    return recording, recording.path
+
+
+def read_windows(
+    source: Any,
+    *,
+    config: ReadConfig | None = None,
+    sensor: tuple[int, int] | None = None,
+    time_unit: TimeUnit | None = None,
+    backend: str = "auto",
+    device: str = "cpu",
+    threads: int | None = None,
+    progress: Progress | None = None,
+) -> Iterator[WindowReading]:
+    """Read windows spread evenly over a recording, each alone and from cold.
+
+    Parameters are those of `read_codes`.  Windows have the length that the configuration sets, or one that
+    suits the motion at their time; ``config.max_windows`` is their number, without it they follow one
+    another.
+
+    Yields
+    ------
+    WindowReading   in order of time
+    """
+    with ExitStack() as stack:
+        recording, _ = _open(source, sensor, time_unit, stack)
+        solvers, pool = _solvers(threads, stack, config=config, backend=backend, device=device)
+        events = EventBuffer(recording.chunks())
+        if pool is None:
+            for start in _starts(events, recording, solvers[0]):
+                events.forget(start.us)
+                yield _read_alone(start, events, solvers[0])
+                _tell(progress, start.us, events, recording)
+            return
+        idle: SimpleQueue[Solver] = SimpleQueue()
+        for solver in solvers:
+            idle.put(solver)
+
+        def job(starts: list[_Start]) -> list[WindowReading]:
+            solver = idle.get()
+            try:
+                return [_read_alone(start, events, solver) for start in starts]
+            finally:
+                idle.put(solver)
+
+        # a solver of its own, for the motion that windows are as long as: the others are at work meanwhile
+        ahead = _starts(events, recording, Solver(config, backend=backend, device=device))
+        running: deque[tuple[int, Future[list[WindowReading]]]] = deque()
+        most = solvers[0].config.max_windows
+        together = WINDOWS_A_JOB if most is None else min(WINDOWS_A_JOB, -(-most // len(solvers)))
+        while starts := list(itertools.islice(ahead, together)):
+            running.append((starts[0].us, pool.submit(job, starts)))
+            if len(running) > 2 * len(solvers):
+                events.forget(running[0][0])
+                yield from running.popleft()[1].result()
+            _tell(progress, starts[-1].us, events, recording)
+        while running:
+            yield from running.popleft()[1].result()
+
+
+def _solvers(
+    threads: int | None, stack: ExitStack, *, config: ReadConfig | None, backend: str, device: str
+) -> tuple[list[Solver], ThreadPoolExecutor | None]:
+    """One solver a thread, and the threads where there is more than one."""
+    count = 1 if threads is None else threads
+    if count < 1:
+        raise ValueError(f"threads must be at least 1, got {threads}")
+    solvers = [Solver(config, backend=backend, device=device) for _ in range(count)]
+    return solvers, stack.enter_context(ThreadPoolExecutor(count)) if count > 1 else None
+
+
+def _tell(progress: Progress | None, now_us: int, events: EventBuffer, recording: Recording) -> None:
+    if progress is not None and events.first_us is not None:
+        last = recording.t_last_us
+        progress(now_us - events.first_us, None if last is None else last - events.first_us)
+
+
+@dataclass(frozen=True)
+class _Start:
+    """A window to read: its number, start and length [us]; no length where it finds its own."""
+
+    index: int
+    us: int
+    length_us: int | None
+
+
+def _starts(events: EventBuffer, recording: Recording, solver: Solver) -> Iterator[_Start]:
+    """Windows to read, in order of time."""
+    cfg = solver.config
+    first = events.first_us
+    if first is None:
+        return
+    if cfg.max_windows is not None:
+        last = recording.t_last_us
+        if last is None:
+            last = max(int(chunk.t[-1]) for chunk in recording.chunks() if len(chunk))
+        slot = (last + 1 - first) / cfg.max_windows
+        for index in range(cfg.max_windows):
+            yield _Start(index, round(first + index * slot), cfg.window_us)
+        return
+    start_us = first
+    for index in itertools.count():
+        if not events.reaches(start_us + 1):
+            return
+        length = cfg.window_us
+        if length is None:
+            motion = solver.motion_at(events, start_us)
+            length = solver.window_us(motion.speed) if motion is not None else cfg.motion.probe_us
+        yield _Start(index, start_us, length)
+        start_us += length
+
+
+def _read_alone(start: _Start, events: EventBuffer, solver: Solver) -> WindowReading:
+    """Read one window from cold."""
+    solver.clock = StageClock()
+    start_us, length = start.us, start.length_us
+    status, reason = ReadStatus.NO_CODE, ""
+    motion = None
+    if length is None:
+        motion = solver.motion_at(events, start_us)
+        length = solver.window_us(motion.speed) if motion is not None else solver.config.motion.probe_us
+    window = events.window(start_us, start_us + length)
+    if motion is None:
+        motion = solver.motion_in(window)
+    unmoved = Unseen("nothing moves, or too few events")
+    sighting = unmoved if motion is None else solver.look(window, motion)
+    text, q, solved = None, None, 0
+    if isinstance(sighting, Unseen):
+        reason = sighting.reason
+    else:
+        with solver.clock("stage_two"):
+            estimate = solve_modules(sighting.weighted, solver.config.stage_two, workspace=solver.workspace)
+            q, solved = estimate.q, estimate.iterations
+        with solver.clock("decode"):
+            outcome = decode_grid(q, effort="full")
+        if isinstance(outcome, Decoded):
+            status, text = ReadStatus.READ, outcome.text
+        else:
+            status, reason = ReadStatus.NO_READ, outcome.reason
+    found = sighting if isinstance(sighting, Sighting) else None
+    return WindowReading(
+        status=status,
+        reason=reason,
+        window=start.index,
+        t_start_us=window.start_us,
+        t_end_us=window.end_us,
+        n_events=len(window),
+        text=text,
+        version=found.version if found else None,
+        modules=q,
+        motion_px_per_s=found.velocity if found else None,
+        affine=affine_to_code(found.pose, found.size) if found else None,
+        stage_one_iterations=found.iterations if found else 0,
+        stage_two_iterations=solved,
+        compute_ms=solver.clock.total(),
+    )

@@ -1,0 +1,73 @@
+"""The methods by name, in the order of the table; each is imported when it is made."""
+
+from __future__ import annotations
+
+import importlib
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from types import MappingProxyType
+from typing import Any
+
+from evqr.paper.methods.method import Method
+
+
+@dataclass(frozen=True, kw_only=True)
+class Row:
+    """How a method is called in the table, and how it is made.
+
+    Attributes
+    ----------
+    title
+    target         "module:class"
+    options        of the class
+    quick          options more, where a try is enough
+    told_version   whether the class is told the version of the code, too
+    revision       raised when the method gives other results: its older cells are then computed again
+    """
+
+    title: str
+    target: str
+    options: Mapping[str, Any] = field(default_factory=dict)
+    quick: Mapping[str, Any] = field(default_factory=dict)
+    told_version: bool = False
+    revision: int = 0
+
+
+METHODS: Mapping[str, Row] = MappingProxyType(
+    {
+        "image": Row(title="Image", target="evqr.paper.methods.camera:Camera"),
+        "bardow": Row(
+            title="Bardow et al.", target="evqr.paper.methods.bardow:Bardow", quick={"iterations": 12}
+        ),
+        "without_qr": Row(title="w/o QR", target="evqr.paper.methods.without_qr:WithoutQr"),
+        "descent": Row(
+            title="Ours (the paper's)",
+            target="evqr.paper.methods.descent:Descent",
+            told_version=True,
+            revision=1,
+        ),
+        "evqr": Row(title="evqr, each window alone", target="evqr.paper.methods.evqr:Own"),
+        "evqr_fused": Row(
+            title="evqr, windows fused", target="evqr.paper.methods.evqr:Own", options={"windows": 8}
+        ),
+        "evqr_no_lag": Row(
+            title="evqr, no lag operator", target="evqr.paper.methods.evqr:Own", options={"lag": False}
+        ),
+        "evqr_fused_no_lag": Row(
+            title="evqr, fused, no lag operator",
+            target="evqr.paper.methods.evqr:Own",
+            options={"windows": 8, "lag": False},
+        ),
+        "integrate": Row(title="integration + zxing-cpp", target="evqr.paper.methods.integrate:Integrate"),
+        "decay": Row(title="decaying sum + zxing-cpp", target="evqr.paper.methods.decay:Decay"),
+    }
+)
+
+
+def make_method(name: str, version: int, *, quick: bool = False) -> Method:
+    """Make a method for codes of a version; quick: one that gives up earlier, if it takes long."""
+    row = METHODS[name]
+    module, _, attribute = row.target.partition(":")
+    told = {"version": version} if row.told_version else {}
+    more = row.quick if quick else {}
+    return getattr(importlib.import_module(module), attribute)(**row.options, **told, **more)

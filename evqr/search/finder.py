@@ -1,0 +1,390 @@
+"""Finder patterns in the motion-compensated events, and the codes that three of them could belong to.
+
+The paper's 1:1:3:1:1 kernel on rows and columns finds nothing at 45 degrees: a code's axes are not the
+image's.  Here a bank of signed two-dimensional matched filters, ``-(grad of the finder pattern) . m / |m|``
+at eight angles, runs over a pyramid on which a module always has the same size.  Coarse steps are enough:
+stage one refines.
+"""
+
+from __future__ import annotations
+
+import functools
+import math
+from dataclasses import dataclass
+from functools import cached_property
+from typing import Any, TypeAlias
+
+import numpy as np
+from numpy.typing import NDArray
+
+from evqr.config import FinderConfig, LookConfig
+from evqr.events.window import Window
+from evqr.fit.image import Deposit, Sharpen
+from evqr.fit.model import profiles
+from evqr.fit.region import Region
+from evqr.symbol.space import MAX_VERSION, MIN_VERSION
+from evqr.workspace import EventSlots, Mirror, Step, Workspace
+
+ANGLES = 8
+"""Templates, over a right angle: a finder pattern looks alike turned by one."""
+
+TERMS = 5
+"""Templates that the others are mixed from, to 0.4 %."""
+
+FEWEST_CELLS = 24
+"""Width of the smallest level [cells]: kernels take blocks of them."""
+
+CLIP = 3.0
+"""Cells are clipped at so many times the mean strength of those that have events: a hot pixel is no edge."""
+
+MOST_A_ROW = 8
+"""Peaks kept of one row of a level."""
+
+MOST_OF_A_CORNER = 8
+"""Triples kept that have one corner."""
+
+_Affine: TypeAlias = list[tuple[float, float, float]]
+
+
+@dataclass(frozen=True, eq=False)
+class Peaks:
+    """Places that look like a finder pattern.
+
+    Attributes
+    ----------
+    table : (N, 5) float32   a row each, best first: response, x, y, size of a module, angle
+    """
+
+    table: NDArray[np.float32]
+
+    def __len__(self) -> int:
+        return len(self.table)
+
+    @property
+    def response(self) -> NDArray[np.float32]:
+        """Normalised (N,), -1 to 1; negative where the code is inverted (or the motion backwards)."""
+        return self.table[:, 0]
+
+    @property
+    def position(self) -> NDArray[np.float32]:
+        """Centres (N, 2) [px]."""
+        return self.table[:, 1:3]
+
+    @property
+    def module_px(self) -> NDArray[np.float32]:
+        """Size of a module (N,) [px]."""
+        return self.table[:, 3]
+
+    @property
+    def angle(self) -> NDArray[np.float32]:
+        """Of the pattern's axes (N,), 0 to pi / 2 [rad]."""
+        return self.table[:, 4]
+
+
+@dataclass(frozen=True, eq=False)
+class PyramidLevel:
+    """The motion-compensated events on cells of one size.
+
+    Attributes
+    ----------
+    cell                        size of a cell [px]
+    image : (1, Y, X) float32   on the device, until the next search
+    """
+
+    cell: float
+    image: Any
+
+    @cached_property
+    def from_px(self) -> NDArray[np.float64]:
+        """(3, 3) map of px to cells, integers at cell centres."""
+        s, shift = 1.0 / self.cell, 0.5 / self.cell - 0.5
+        return np.array([[s, 0.0, shift], [0.0, s, shift], [0.0, 0.0, 1.0]])
+
+    @cached_property
+    def to_px(self) -> NDArray[np.float64]:
+        """(3, 3) map of cells to px."""
+        s, shift = self.cell, 0.5 * self.cell - 0.5
+        return np.array([[s, 0.0, shift], [0.0, s, shift], [0.0, 0.0, 1.0]])
+
+
+@dataclass(frozen=True, eq=False)
+class Hypothesis:
+    """A code that three finder patterns could belong to.
+
+    Attributes
+    ----------
+    version           1 to 40
+    pose : (3, 3)     code coordinates to px
+    response          sum of the three responses
+    inverted          light modules on dark
+    triple            which three patterns: hypotheses from the same ones differ in version
+    """
+
+    version: int
+    pose: NDArray[np.float64]
+    response: float
+    inverted: bool
+    triple: int = 0
+
+
+@functools.cache
+def _template_gradients(cells_a_module: float, half: int) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """Give the gradient of a finder pattern in the image, (2, n, n, ANGLES), and its disc (n, n)."""
+    steps = np.arange(-half, half + 1) / cells_a_module
+    x, y = np.meshgrid(steps, steps)
+    disc = (x * x + y * y <= min(5.2, half / cells_a_module + 0.3) ** 2).astype(np.float64)
+    sigma = 0.8 / cells_a_module * 0.8
+    gradients = np.empty((2, *x.shape, ANGLES))
+    for a in range(ANGLES):
+        cos, sin = math.cos(a * math.pi / 2 / ANGLES), math.sin(a * math.pi / 2 / ANGLES)
+        u, v = cos * x + sin * y, -sin * x + cos * y
+        along_u, along_v = np.zeros_like(u), np.zeros_like(u)
+        for size, sign in ((7, -1.0), (5, 1.0), (3, -1.0)):
+            # a square of `size` modules is a module's profile, stretched
+            fu, du, _ = profiles((u + size / 2) / size, sigma / size)
+            fv, dv, _ = profiles((v + size / 2) / size, sigma / size)
+            along_u += sign * du / size * fv
+            along_v += sign * fu * dv / size
+        gradients[0, :, :, a] = (cos * along_u - sin * along_v) * disc
+        gradients[1, :, :, a] = (sin * along_u + cos * along_v) * disc
+    return gradients, disc
+
+
+@functools.cache
+def _spans(cfg: FinderConfig) -> NDArray[np.int32]:
+    """First row of the disc in each column of a template, and the one behind its last, (n, 2)."""
+    _, disc = _template_gradients(cfg.cells_a_module, cfg.half)
+    return np.array([(c.argmax(), len(c) - c[::-1].argmax()) for c in disc.T > 0.0], np.int32)
+
+
+@functools.lru_cache(maxsize=361)
+def _bank(degrees: int, cfg: FinderConfig) -> tuple[NDArray[np.float64], ...]:
+    """Give the templates for a direction of motion as a basis (n, n, TERMS) and a mixture (ANGLES, TERMS)."""
+    gradients, _ = _template_gradients(cfg.cells_a_module, cfg.half)
+    along = np.deg2rad(degrees)
+    bank = -(np.cos(along) * gradients[0] + np.sin(along) * gradients[1])
+    bank /= np.sqrt(np.square(bank).sum(axis=(0, 1)))
+    # the space that the templates span, from their correlations with each other
+    flat = bank.reshape(-1, ANGLES)
+    strengths, mixtures = np.linalg.eigh(flat.T @ flat)
+    mix, length = mixtures[:, -TERMS:], np.sqrt(strengths[-TERMS:])
+    return (flat @ (mix / length)).reshape(*bank.shape[:2], TERMS), mix * length
+
+
+def _module_sizes(look: LookConfig, ratio: float) -> list[float]:
+    """Sizes from the smallest on; each answers for half a step on either side."""
+    count = 1 + round(math.log(look.largest_module_px / look.smallest_module_px) / math.log(ratio))
+    return [look.smallest_module_px * ratio**k for k in range(count)]
+
+
+def _four(count: int) -> int:
+    return -(-count // 4) * 4
+
+
+class _Search:
+    """The search in windows of one size of image: its levels, and what runs over them."""
+
+    def __init__(
+        self, events: EventSlots, height: int, width: int, cfg: FinderConfig, look: LookConfig,
+        workspace: Workspace,
+    ) -> None:  # fmt: skip
+        backend, half = workspace.backend, cfg.half
+        side = 2 * half + 1
+        self._basis, self._mix = workspace.mirror((side, side, TERMS)), workspace.mirror((ANGLES, TERMS))
+        self._peaks = workspace.mirror((1, look.peaks, 5))
+        self._match = Match(self._peaks, cfg, workspace)
+        spans = workspace.put(_spans(cfg))
+        self.pyramid: list[PyramidLevel] = []
+        padded: list[Any] = []
+        modules: list[float] = []
+        for module_px in _module_sizes(look, cfg.scale_ratio):
+            cell = module_px / cfg.cells_a_module
+            rows, columns = math.ceil(height / cell), _four(math.ceil(width / cell))
+            if rows < side or columns < FEWEST_CELLS:
+                break
+            # a border of zeros, which templates may hang over
+            padded.append(workspace.empty(1, rows + 2 * half, columns + 2 * half))
+            backend.clear(padded[-1])
+            self.pyramid.append(PyramidLevel(cell, padded[-1][:, half : half + rows, half : half + columns]))
+            modules.append(module_px)
+        self._cfg, self._most, self._run = cfg, look.hypotheses, None
+        self._degrees: int | None = None
+        if not self.pyramid:
+            return
+        shapes = [level.image.shape[1:] for level in self.pyramid]
+        cell, (rows, columns) = self.pyramid[0].cell, shapes[0]
+        self._region = Region(-0.5, -0.5, cell, rows, columns)
+        self._deposit = Deposit(events, rows, columns, workspace)
+        self._sharpen = Sharpen(self._deposit.cells, 1, workspace)
+        slots = sum(rows for rows, _ in shapes)
+        maxima = workspace.empty(1, slots, MOST_A_ROW, 5)
+        strength = workspace.empty(1, slots * MOST_A_ROW)
+        index = workspace.empty(1, slots * MOST_A_ROW, dtype=np.int32)
+        busy = workspace.empty(1)
+
+        def launch() -> None:
+            first = 0
+            for k, (level, (rows, columns)) in enumerate(zip(self.pyramid, shapes, strict=True)):
+                if k == 0:
+                    self._deposit.launch()
+                    self._sharpen.launch()
+                    backend.clip_outliers(
+                        self._sharpen.images, CLIP, workspace.empty(1, rows, 2), workspace.empty(1), busy,
+                        level.image,
+                    )  # fmt: skip
+                else:
+                    fine = self.pyramid[k - 1].image
+                    backend.reduce_image(
+                        fine, cfg.scale_ratio, workspace.empty(1, rows, fine.shape[2]), level.image
+                    )
+                response = workspace.empty(1, rows, columns)
+                angle = workspace.empty(1, rows, columns, dtype=np.int32)
+                # as large a part of each level is busy as of the finest
+                share = math.prod(shapes[0]) / math.prod(shapes[k])
+                backend.correlate_templates(
+                    padded[k], busy, self._basis.device, self._mix.device, spans, share * look.floor,
+                    cfg.min_response,
+                    workspace.empty(1, rows + 2 * half + 1, columns + 2 * half),
+                    workspace.empty(1),
+                    workspace.empty(1, TERMS + 1, rows, columns),
+                    response, angle,
+                )  # fmt: skip
+                backend.local_maxima(
+                    response, angle, 0.0, level.cell, modules[k], math.pi / 2 / ANGLES,
+                    maxima[:, first : first + rows],
+                )  # fmt: skip
+                first += rows
+            backend.merge_maxima(
+                maxima.reshape((1, slots * MOST_A_ROW, 5)), 2.0, 1.5 * math.log(cfg.scale_ratio), strength,
+                index, self._peaks.device,
+            )  # fmt: skip
+            self._match.launch()
+
+        self._run = backend.record(launch)
+
+    def __call__(
+        self, window: Window, velocity: NDArray[np.float64], lag_px: tuple[float, float] | None
+    ) -> Found:
+        """Find what is in a window."""
+        if self._run is None:
+            return Found([], Peaks(np.empty((0, 5), np.float32)), [])
+        degrees = round(math.degrees(math.atan2(velocity[1], velocity[0])))  # as good as it is known
+        if degrees != self._degrees:
+            basis, mix = _bank(degrees, self._cfg)
+            self._basis.write(basis)
+            self._mix.write(mix)
+            self._degrees = degrees
+        if lag_px is None:
+            on, off = self._cfg.lag_cells
+            lag_px = on * self._region.cell, off * self._region.cell
+        self._deposit.write(window, velocity, self._region)
+        self._sharpen.write(velocity, self._region, [lag_px])
+        self._run()
+        hypotheses = self._match.read(self._most)
+        peaks = self._peaks.host[0]
+        return Found(hypotheses, Peaks(peaks[: np.count_nonzero(peaks[:, 0])].copy()), self.pyramid)
+
+
+class Match(Step):
+    """Triples of peaks (1, N, 5) that make the corners of a code.
+
+    Corner i sees its neighbours j (along u) and k (along v) at a right angle, with equal legs of 10 + 4
+    version modules.
+    """
+
+    def __init__(self, peaks: Mirror, cfg: FinderConfig, workspace: Workspace) -> None:
+        super().__init__(workspace.backend)
+        room = peaks.host.shape[1]
+        log_legs = np.log((10.0 + 4.0 * MIN_VERSION, 10.0 + 4.0 * MAX_VERSION))
+        tolerances = (cfg.leg_tolerance, cfg.scale_tolerance, cfg.angle_tolerance, *log_legs)
+        self._peaks, self._scale_tolerance = peaks, cfg.scale_tolerance
+        self._tolerances = workspace.put(np.array(tolerances, np.float32))
+        self._ends = workspace.empty(1, room, room, dtype=np.int32)
+        self._legs = workspace.empty(1, room, room, 3)
+        self._triples = workspace.mirror((1, room, MOST_OF_A_CORNER, 4))
+
+    def launch(self) -> None:
+        """Launch the kernels one by one."""
+        self._backend.match_corners(
+            self._peaks.device, self._tolerances, self._ends, self._legs, self._triples.device
+        )
+
+    def read(self, most: int) -> list[Hypothesis]:
+        """Wait for the device and give so many hypotheses, or a few more, best first."""
+        peaks = self._peaks.read()[0]
+        triples = self._triples.read().reshape(-1, 4)
+        places = peaks[:, 1:3].tolist()
+        found: list[tuple[int, float, bool, int]] = []
+        poses: list[_Affine] = []
+        for triple, index in enumerate(np.argsort(-triples[:, 0], kind="stable").tolist()):
+            response, j, k, log_modules = triples[index].tolist()
+            if not response or len(found) >= most:
+                break
+            i = index // MOST_OF_A_CORNER
+            inverted = bool(peaks[i, 0] < 0.0)
+            for version in _versions(log_modules, self._scale_tolerance):
+                found.append((version, response, inverted, triple))
+                poses.append(_pose(places[i], places[int(j)], places[int(k)], version))
+        return [
+            Hypothesis(version, pose, response, inverted, triple)
+            for pose, (version, response, inverted, triple) in zip(np.array(poses), found, strict=True)
+        ]
+
+
+@dataclass(frozen=True, eq=False)
+class Found:
+    """What a search found.
+
+    Attributes
+    ----------
+    hypotheses   codes that might be there, best first
+    peaks        that they were made of, and others
+    pyramid      the images that were searched, finest first
+    """
+
+    hypotheses: list[Hypothesis]
+    peaks: Peaks
+    pyramid: list[PyramidLevel]
+
+
+def find_hypotheses(
+    window: Window,
+    velocity: NDArray[np.float64],
+    cfg: FinderConfig,
+    *,
+    workspace: Workspace,
+    look: LookConfig | None = None,
+    lag_px: tuple[float, float] | None = None,
+) -> Found:
+    """Find finder patterns in a window, and the codes that three of them could belong to.
+
+    Parameters
+    ----------
+    velocity : (2,) [px/s]
+    look            default the configured last, most thorough
+    lag_px          lag of the pixels for ON and OFF events along the motion [px]; default as configured
+    """
+    look = look or cfg.looks[-1]
+    events = workspace.events(window)
+    search = workspace.once(
+        ("search", events.capacity, window.height, window.width, cfg, look),
+        lambda: _Search(events, window.height, window.width, cfg, look, workspace),
+    )
+    return search(window, velocity, lag_px)
+
+
+def _versions(log_modules: float, tolerance: float) -> list[int]:
+    """Versions whose finder patterns are so many modules apart, to a tolerance, best first."""
+    least, most = (0.25 * (math.exp(log_modules + end) - 10.0) for end in (-tolerance, tolerance))
+    fits = range(max(math.ceil(least), MIN_VERSION), min(math.floor(most), MAX_VERSION) + 1)
+    return sorted(fits, key=lambda version: abs(math.log(10.0 + 4.0 * version) - log_modules))
+
+
+def _pose(corner: list[float], along: list[float], down: list[float], version: int) -> _Affine:
+    """Affine pose from the centres (x, y) of the finder patterns: top left, top right and bottom left."""
+    legs = 10 + 4 * version  # modules between two centres
+    rows: _Affine = []
+    for at, u, v in zip(corner, along, down, strict=True):
+        per_u, per_v = (u - at) / legs, (v - at) / legs
+        rows.append((per_u, per_v, at - 3.5 * (per_u + per_v)))
+    return [*rows, (0.0, 0.0, 1.0)]

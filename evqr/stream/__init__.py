@@ -1,0 +1,1 @@
+"""Codes that pass: searched for, followed, read."""

@@ -1,0 +1,1 @@
+"""Symbols: where their modules are, which are known, and what they say."""

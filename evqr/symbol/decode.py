@@ -1,0 +1,377 @@
+"""Module grid -> payload: format information, Reed-Solomon with erasures, and the proof that it is no chance.
+
+Format information by soft correlation; unmask and deinterleave; correct each block, erasing ever more of its
+least reliable codewords; judge the result (`evqr.symbol.chance`); rebuild the exact symbol; zxing-cpp for the
+text.
+
+Reed-Solomon comes before zxing-cpp because zxing-cpp corrects up to the last check codeword: one chance grid
+in two million of version 1-L passes.  Given the exact symbol it has nothing left to correct, and interprets
+modes, ECI, kanji and the rest.
+"""
+
+from __future__ import annotations
+
+import functools
+import math
+from dataclasses import dataclass
+from typing import Literal
+
+import numpy as np
+import reedsolo
+import zxingcpp
+from numpy.typing import NDArray
+
+from evqr.symbol.chance import count_pads, log_chance_contents
+from evqr.symbol.qr_codewords import Block, ErrorLevel, codeword_layout, format_words, symbol_of, unmasked
+from evqr.symbol.space import read_only, version_of
+
+Effort = Literal["quick", "full"]
+
+_FIELD = reedsolo.init_tables(prim=0x11D, generator=2, c_exp=8)  # GF(256) of the QR code
+
+_QR_CODE = zxingcpp.barcode_formats_from_str("QRCode")
+
+# In units of a block's mean |q|, measured on symbols with even and with patchy Gaussian noise.  A module
+# stronger than the cap counts no more than the cap: where it is wrong, it is dirt rather than noise.
+_WEIGHT_CAP = 2.0
+_LOG_ODDS = 4.0
+_TINY = float(np.finfo(np.float64).tiny)
+
+
+@dataclass(frozen=True, kw_only=True)
+class DecodeConfig:
+    """How hard to try, and how sure to be.
+
+    Attributes
+    ----------
+    min_confidence      a reading below is refused; above 0 and below 1
+    wrong_grids         grids without a code tried for each one with a code, the prior of the confidence; >= 1
+    format_candidates   most words of format information to try; 1 to 32
+    format_margin       their correlation may be this much below the best one's; 0 to 2
+    format_floor        below this correlation (1 is perfect) format information is unreadable; 0 to 1
+    quick_tries         tries a block with effort "quick", spread evenly over those of "full"; >= 1
+    min_check           check codewords that erasures must leave; >= 1
+    """
+
+    min_confidence: float = 0.999
+    wrong_grids: float = 1e6
+    format_candidates: int = 3
+    format_margin: float = 0.2
+    format_floor: float = 0.25
+    quick_tries: int = 4
+    min_check: int = 2
+
+    def __post_init__(self) -> None:
+        if not 0.0 < self.min_confidence < 1.0:
+            raise ValueError(f"min_confidence must be above 0 and below 1, got {self.min_confidence}")
+        if not self.wrong_grids >= 1.0:
+            raise ValueError(f"wrong_grids must be at least 1, got {self.wrong_grids}")
+        if not 1 <= self.format_candidates <= 32:
+            raise ValueError(f"format_candidates must be 1 to 32, got {self.format_candidates}")
+        for name in ("quick_tries", "min_check"):
+            if getattr(self, name) < 1:
+                raise ValueError(f"{name} must be at least 1, got {getattr(self, name)}")
+
+    @property
+    def log_chance_limit(self) -> float:
+        """Natural logarithm of the largest expected number of chance contents of a reading."""
+        return math.log((1.0 / self.min_confidence - 1.0) / self.wrong_grids)
+
+
+@dataclass(frozen=True, eq=False, kw_only=True)
+class Decoded:
+    """A symbol, read.
+
+    Attributes
+    ----------
+    text, data                the payload, as text and as bytes
+    symbology                 "QRCode"
+    version, ec_level, mask   of the symbol: 1 to 40, "L" "M" "Q" "H", 0 to 7
+    mirrored                  the grid was the transpose of the symbol
+    errors_corrected          codewords that error correction changed, erased ones included
+    erasures                  codewords that were erased
+    spare                     unused check codewords, n_check - 2 errors - erasures: the least over the blocks
+    modules : (r, r) int8     the exact symbol, in the orientation of the grid: -1 dark, +1 light
+    log10_chance              decimal logarithm of the number of contents expected to agree as well by chance
+    confidence                1 / (1 + wrong_grids 10^log10_chance): that the text is right, 0 to 1
+    """
+
+    text: str
+    data: bytes
+    symbology: str
+    version: int
+    ec_level: ErrorLevel
+    mask: int
+    mirrored: bool
+    errors_corrected: int
+    erasures: int
+    spare: int
+    modules: NDArray[np.int8]
+    log10_chance: float
+    confidence: float
+
+
+@dataclass(frozen=True, kw_only=True)
+class DecodeFailure:
+    """A grid that does not decode.
+
+    Attributes
+    ----------
+    reason            one line
+    version           of the grid
+    ec_level, mask    most likely format, None when it is unreadable
+    """
+
+    reason: str
+    version: int
+    ec_level: ErrorLevel | None = None
+    mask: int | None = None
+
+
+@dataclass(frozen=True, eq=False, kw_only=True)
+class _CorrectedBlock:
+    codewords: NDArray[np.uint8]
+    n_pads: int
+    changed: int
+    erased: int
+    spare: int
+    log_chance: float
+
+
+def decode_grid(
+    q: NDArray[np.floating], *, config: DecodeConfig | None = None, effort: Effort = "quick"
+) -> Decoded | DecodeFailure:
+    """Decode an estimated module grid.
+
+    Parameters
+    ----------
+    q : (r, r) float   < 0 dark, > 0 light, 0 unknown; magnitude is reliability, in any unit; what it says of
+                       function patterns is not used
+    config             thresholds
+    effort             "quick": few tries; "full": many, and the transpose too (mirrored symbols)
+
+    Returns
+    -------
+    Decoded            when the confidence reaches ``config.min_confidence``
+    DecodeFailure      otherwise
+
+    Raises
+    ------
+    ValueError         q is not square, not of a size that a version has, or not finite
+    """
+    config = config or DecodeConfig()
+    q = np.asarray(q, dtype=np.float64)
+    if q.ndim != 2 or q.shape[0] != q.shape[1]:
+        raise ValueError(f"q must have shape (r, r), got {q.shape}")
+    if not np.isfinite(q).all():
+        raise ValueError("q must be finite, got NaN or infinity: write 0 for unknown modules")
+    if effort not in ("quick", "full"):
+        raise ValueError(f"effort must be 'quick' or 'full', got {effort!r}")
+    outcome = _decode_oriented(q, config, effort, mirrored=False)
+    if effort == "full" and isinstance(outcome, DecodeFailure):
+        mirrored = _decode_oriented(q.T, config, effort, mirrored=True)
+        if isinstance(mirrored, Decoded):
+            return mirrored
+    return outcome
+
+
+def _decode_oriented(
+    q: NDArray[np.float64], config: DecodeConfig, effort: Effort, *, mirrored: bool
+) -> Decoded | DecodeFailure:
+    """Decode with each of the likely formats until one gives a reading."""
+    version = version_of(len(q))
+    words = format_words(version)
+    soft = q.ravel()[words.at]
+    correlation = ((words.signs @ soft) / max(float(np.abs(soft).sum()), _TINY)).tolist()
+    best = max(correlation)
+    if best < config.format_floor:
+        reason = f"format information unreadable: its modules correlate {best:.2f} with the likeliest word"
+        return DecodeFailure(reason=f"{reason}, {config.format_floor:.2f} needed", version=version)
+
+    likely = [k for k, value in enumerate(correlation) if value >= best - config.format_margin]
+    likely.sort(key=lambda k: -correlation[k])
+    outcomes = []
+    for index in likely[: config.format_candidates]:
+        level, mask = words.meaning[index]
+        outcome = _decode_format(q, version, level, mask, config, effort, mirrored=mirrored)
+        if isinstance(outcome, Decoded):
+            return outcome
+        outcomes.append(outcome)
+    return outcomes[0]
+
+
+def _decode_format(
+    q: NDArray[np.float64],
+    version: int,
+    level: ErrorLevel,
+    mask: int,
+    config: DecodeConfig,
+    effort: Effort,
+    *,
+    mirrored: bool,
+) -> Decoded | DecodeFailure:
+    """Decode with known level and mask: correct every block, judge, rebuild the symbol, interpret it."""
+    layout = codeword_layout(version, level)
+    soft = unmasked(q, version, level, mask)
+    # Every format and orientation that might be tried is one more opportunity for chance.
+    hypotheses = math.log(2 * config.format_candidates)
+    log_limit = config.log_chance_limit - hypotheses - math.log(len(layout.blocks))
+
+    def failed(reason: str) -> DecodeFailure:
+        return DecodeFailure(reason=reason, version=version, ec_level=level, mask=mask)
+
+    codewords = np.packbits(soft < 0.0)
+    blocks = []
+    padding = True  # pads fill the end of the data, so blocks come last first
+    for index in reversed(range(len(layout.blocks))):
+        block = layout.blocks[index]
+        result = _correct_block(
+            soft[block.bits], block, _tries(block.n_check, config, effort), padding, log_limit
+        )
+        if isinstance(result, str):
+            place = f"level {level}, mask {mask}, block {index + 1} of {len(layout.blocks)}"
+            return failed(f"{result} ({place})")
+        blocks.append(result)
+        codewords[block.codewords] = result.codewords
+        padding = padding and result.n_pads == block.n_data
+
+    modules = symbol_of(codewords, version, level, mask)
+    barcode = zxingcpp.read_barcode(
+        ~modules.view(np.uint8),  # 0 and 254
+        formats=_QR_CODE,
+        text_mode=zxingcpp.TextMode.Plain,
+        is_pure=True,
+        try_rotate=False,
+        try_invert=False,
+        try_downscale=False,
+    )
+    # A texture that equals a mask (stripes, checks) is the all-zero word: valid, and empty.
+    if barcode is None or not barcode.valid or not barcode.bytes:
+        reason = "error correction succeeded, but the data is empty or malformed"
+        return failed(f"{reason} (level {level}, mask {mask})")
+
+    least_sure = max(block.log_chance for block in blocks)
+    log_chance = hypotheses + least_sure + math.log(sum(math.exp(b.log_chance - least_sure) for b in blocks))
+    return Decoded(
+        text=barcode.text,
+        data=barcode.bytes,
+        symbology="QRCode",
+        version=version,
+        ec_level=level,
+        mask=mask,
+        mirrored=mirrored,
+        errors_corrected=sum(b.changed for b in blocks),
+        erasures=sum(b.erased for b in blocks),
+        spare=min(b.spare for b in blocks),
+        modules=modules.T if mirrored else modules,
+        log10_chance=log_chance / math.log(10.0),
+        confidence=1.0 / (1.0 + config.wrong_grids * math.exp(log_chance)),
+    )
+
+
+def _correct_block(
+    soft: NDArray[np.float64], block: Block, tries: list[int], padding: bool, log_limit: float
+) -> _CorrectedBlock | str:
+    """Correct one block with ever more erasures, until the result is beyond chance; else tell the reason.
+
+    Parameters
+    ----------
+    soft : (8 n,) float   the unmasked modules of its bits
+    tries                 numbers of codewords to erase
+    padding               all blocks behind it are pads, so it may end in pads
+    log_limit             natural logarithm of the largest acceptable number of chance contents
+    """
+    received = np.packbits(soft < 0.0)
+    syndromes = _syndromes(received, block.n_check)
+    strength = np.abs(soft)
+    strength /= max(float(strength.sum()) / len(soft), _TINY)
+    weights = np.minimum(strength, _WEIGHT_CAP)
+
+    least = math.inf
+    doubtful: list[int] = []
+    for n_erased in tries:
+        if n_erased and not doubtful:
+            doubtful = _doubtful(strength)
+        codewords = _reed_solomon(received, syndromes, doubtful[:n_erased])
+        if codewords is None:
+            continue
+        n_pads = count_pads(codewords[: block.n_data]) if padding else 0
+        agreement = np.where((soft < 0.0) == np.unpackbits(codewords), weights, -weights)
+        log_chance = log_chance_contents(agreement, block.n_data, n_pads)
+        if log_chance <= log_limit:
+            changed = set(np.flatnonzero(codewords != received).tolist())
+            n_errors = len(changed.difference(doubtful[:n_erased]))
+            return _CorrectedBlock(
+                codewords=codewords,
+                n_pads=n_pads,
+                changed=len(changed),
+                erased=n_erased,
+                spare=block.n_check - n_erased - 2 * n_errors,
+                log_chance=log_chance,
+            )
+        least = min(least, log_chance)
+    if least < 0.0:
+        chance, limit = least / math.log(10.0), log_limit / math.log(10.0)
+        return f"possibly chance: 10^{chance:.1f} contents would agree as well, 10^{limit:.1f} allowed"
+    n = len(received)
+    return f"error correction failed: too many of {n} codewords wrong for {block.n_check} check codewords"
+
+
+def _doubtful(strength: NDArray[np.float64]) -> list[int]:
+    """Return the codewords, the least certain first."""
+    # Log probability that all eight bits of a codeword are right, with Gaussian noise of typical strength.
+    log_right = -np.logaddexp(0.0, -_LOG_ODDS * strength).reshape(-1, 8).sum(1)
+    return np.argsort(log_right, kind="stable").tolist()
+
+
+@functools.cache
+def _tries(n_check: int, config: DecodeConfig, effort: Effort) -> list[int]:
+    """Return the numbers of codewords to erase, in turn.
+
+    Besides none, as many as leave an even number of check codewords: one error takes two of them.
+    """
+    tries = sorted({0, *range(n_check % 2, n_check - config.min_check + 1, 2)})
+    if effort == "full":
+        return tries
+    chosen = np.linspace(0, len(tries) - 1, num=config.quick_tries).round().astype(int)
+    return [tries[i] for i in sorted(set(chosen.tolist()))]
+
+
+@functools.lru_cache(maxsize=16)
+def _contributions(n: int, n_check: int) -> tuple[NDArray[np.intp], NDArray[np.uint8]]:
+    """Return the n places, and what each value at each of them adds to the syndromes, (n, 256, n_check)."""
+    log, exp, _ = _FIELD
+    powers = np.frombuffer(bytes(exp), dtype=np.uint8)
+    places = np.arange(n)
+    # codeword i counts 2^(k (n - 1 - i)) times in syndrome k
+    exponents = np.outer(places[::-1], np.arange(n_check))
+    table = powers[(np.array(log)[:, None] + exponents[:, None]) % 255]
+    table[:, 0] = 0  # zero has no logarithm
+    return read_only(places), read_only(table)
+
+
+def _syndromes(codewords: NDArray[np.uint8], n_check: int) -> NDArray[np.uint8]:
+    """Return the syndromes, all zero for a valid block.  reedsolo's own loop takes ten times as long."""
+    places, table = _contributions(len(codewords), n_check)
+    return np.bitwise_xor.reduce(table[places, codewords], axis=0)
+
+
+def _reed_solomon(
+    received: NDArray[np.uint8], syndromes: NDArray[np.uint8], erased: list[int]
+) -> NDArray[np.uint8] | None:
+    """Return the valid block within reach (2 errors + erasures <= check codewords), None if there is none."""
+    if not syndromes.any():
+        return received
+    # reedsolo keeps its field in module globals, which another user of it may have changed.
+    reedsolo.gf_log, reedsolo.gf_exp, reedsolo.field_charac = _FIELD
+    n, n_check = len(received), len(syndromes)
+    shifted = [0, *syndromes.tolist()]
+    try:
+        forney = reedsolo.rs_forney_syndromes(shifted, erased, n)
+        locator = reedsolo.rs_find_error_locator(forney, n_check, erase_count=len(erased))
+        errors = reedsolo.rs_find_errors(locator[::-1], n)
+        corrected = reedsolo.rs_correct_errata(received.tolist(), shifted, erased + errors)
+    except (reedsolo.ReedSolomonError, ZeroDivisionError):
+        return None
+    codewords = np.frombuffer(bytes(corrected), dtype=np.uint8)
+    return None if _syndromes(codewords, n_check).any() else codewords
