@@ -56,7 +56,8 @@ def figures_of(table: Sequence[CellResult], sweep: Sequence[CellResult]) -> Mapp
         ),
         "read-rate-against-angle": _against_angle(table),
         "read-rate-against-motion": _against_motion(everything),
-        "bits-and-reads-against-events": _against_events(everything),
+        "bits-against-events": _against_events(everything, _bits, "right bits where a code was found [%]"),
+        "reads-against-events": _against_events(everything, _read, "read, of all windows [%]", (-3, 103)),
         "time-against-events": _time_against_events(everything),
         "confidence": _confidence(everything),
     }
@@ -135,15 +136,13 @@ def _with_modules(results: Sequence[CellResult]) -> list[str]:
     return _methods([r for r in results if any(trial.best_accuracy is not None for trial in r.trials)])
 
 
-def _panels(
-    results: Sequence[CellResult], rows: int, height: float
-) -> tuple[Figure, dict[str, NDArray[Any]]] | None:
+def _panels(results: Sequence[CellResult], rows: int = 1) -> tuple[Figure, dict[str, NDArray[Any]]] | None:
     """Make a figure with a column of axes a scene: sensors differ, so that a line must not join them."""
     scenes = list(dict.fromkeys(r.entry.scene for r in results))
     if not scenes:
         return None
-    figure = _figure(4.2 * len(scenes), height)
-    all_axes = figure.subplots(rows, len(scenes), sharey="row", squeeze=False)
+    figure = _figure(4.2 * len(scenes), 2.9 * rows + 1.5)
+    all_axes = figure.subplots(rows, len(scenes), sharex="col", sharey=True, squeeze=False)
     for axes, scene in zip(all_axes[0], scenes, strict=True):
         axes.set_title(scene)
     return figure, dict(zip(scenes, all_axes.T, strict=True))
@@ -174,7 +173,7 @@ def _legend(figure: Figure, all_axes: Iterable[Axes]) -> None:
 
 
 def _against_angle(table: Sequence[CellResult]) -> Figure | None:
-    panels = _panels(table, 1, 4.4)
+    panels = _panels(table)
     if panels is None:
         return None
     figure, columns = panels
@@ -195,7 +194,7 @@ def _against_angle(table: Sequence[CellResult]) -> Figure | None:
 def _against_motion(results: Sequence[CellResult]) -> Figure | None:
     """Draw read rate against the motion in a window; the mean where cells share it."""
     cells = [r for r in results if r.cell.keep == 1.0 and r.speed_px_ms > 0.0 and r.cell.method in SINGLE]
-    panels = _panels(cells, 1, 4.4)
+    panels = _panels(cells)
     if panels is None:
         return None
     figure, columns = panels
@@ -223,27 +222,47 @@ def _with_events(results: Sequence[CellResult], method: str) -> list[tuple[float
     ]
 
 
-def _against_events(results: Sequence[CellResult]) -> Figure | None:
-    """Draw bits and read rate against events per module edge, for methods that take one window."""
-    cells = [r for r in results if r.cell.method in SINGLE]
-    panels = _panels([r for r in cells if _with_events([r], r.cell.method)], 2, 7.5)
+def _bits(trial: Trial, result: CellResult) -> float | None:
+    return None if trial.best_accuracy is None else 100.0 * trial.best_accuracy
+
+
+def _read(trial: Trial, result: CellResult) -> float | None:
+    return 100.0 * (trial.text == result.truth.text)
+
+
+def _against_events(
+    results: Sequence[CellResult],
+    value: Callable[[Trial, CellResult], float | None],
+    title: str,
+    limits: tuple[float, float] | None = None,
+) -> Figure | None:
+    """Draw something against events per module edge, for methods that take one window.
+
+    A row of axes an angle and a column a scene: how much an event tells depends on both, so that a line over
+    angles mixed would go up and down with what angle its points happen to be of.
+    """
+    cells = [r for r in results if r.cell.method in SINGLE and _with_events([r], r.cell.method)]
+    angles = sorted({r.entry.angle for r in cells})
+    panels = _panels(cells, len(angles))
     if panels is None:
         return None
     figure, columns = panels
-    for scene, (bits, reads) in columns.items():
-        for method in _methods(cells):
-            trials = _with_events([r for r in cells if r.entry.scene == scene], method)
-            found = [(e, 100.0 * t.best_accuracy) for e, t, _ in trials if t.best_accuracy is not None]
-            read = [(e, 100.0 * (t.text == r.truth.text)) for e, t, r in trials]
-            for axes, points in ((bits, found), (reads, read)):
-                bins = binned([e for e, _ in points], [value for _, value in points], EDGE_BOUNDS)
+    for scene, column in columns.items():
+        for axes, angle in zip(column, angles, strict=True):
+            of_axes = [r for r in cells if (r.entry.scene, r.entry.angle) == (scene, angle)]
+            for method in _methods(of_axes):
+                points = [(events, value(t, r)) for events, t, r in _with_events(of_axes, method)]
+                points = [(events, y) for events, y in points if y is not None]
+                bins = binned([events for events, _ in points], [y for _, y in points], EDGE_BOUNDS)
                 if bins:
                     _line(axes, [b.key for b in bins], [b.value for b in bins], method)
-        reads.set(xlabel="events per module edge", ylim=(-3, 103))
-    bits, reads = next(iter(columns.values()))
-    bits.set_ylabel("right bits where a code was found [%]")
-    reads.set_ylabel("read, of all windows [%]")
-    _legend(figure, [axes for pair in columns.values() for axes in pair])
+        column[-1].set_xlabel("events per module edge")
+    first = next(iter(columns.values()))
+    for axes, angle in zip(first, angles, strict=True):
+        axes.set_ylabel(f"{angle:g}°")
+    first[0].set_ylim(limits)  # of all, which share it
+    figure.supylabel(title)
+    _legend(figure, [axes for column in columns.values() for axes in column])
     return figure
 
 

@@ -127,9 +127,28 @@ def test_all_figures_are_drawn(results):
     names = set(figures_of(results, []))
     assert names == {
         "figure7", "figure8", "read-rate-against-angle", "read-rate-against-motion",
-        "bits-and-reads-against-events", "time-against-events", "confidence",
+        "bits-against-events", "reads-against-events", "time-against-events", "confidence",
     }  # fmt: skip
     assert not figures_of([], [])
+
+
+def test_lines_against_events_are_of_one_angle_each(tiny):
+    def cell(angle, events, wrong=0):
+        result = made_up(tiny, "evqr", scene="faster", angle=angle, wrong=wrong)
+        trial = replace(result.trials[0], events_per_edge=events, best_accuracy=0.5 if wrong else 1.0)
+        return replace(result, trials=(trial,))
+
+    # at 0 degrees nothing is read, at 30 all: mixed, a line over 5, 7, 9 and 13 events would zigzag
+    cells = [cell(0.0, 5.0, 30), cell(30.0, 7.0), cell(0.0, 9.0, 30), cell(30.0, 13.0)]
+    figures = figures_of(cells, [])
+    for name, levels in (("reads-against-events", (0, 100)), ("bits-against-events", (50, 100))):
+        lines = {axes.get_ylabel(): axes.lines for axes in figures[name].axes}
+        assert list(lines) == ["0°", "30°"]
+        drawn = {
+            angle: [line.get_xydata().tolist() for line in of_angle] for angle, of_angle in lines.items()
+        }
+        low, high = levels
+        assert drawn == {"0°": [[[5, low], [9, low]]], "30°": [[[7, high], [13, high]]]}
 
 
 def test_wrong_modules_are_magenta_and_green(results):
@@ -164,7 +183,7 @@ def test_the_report_holds_its_pictures(results, tmp_path):
     written = write_report(tmp_path, results, [], About(command="evqr table1", dataset="made up <here>"))
     assert all(path.stat().st_size for path in written)
     page = (tmp_path / "report.html").read_text()
-    assert len(re.findall(r'src="data:image/png;base64,', page)) == 7 and "http" not in page
+    assert len(re.findall(r'src="data:image/png;base64,', page)) == 8 and "http" not in page
     assert (
         "made up &lt;here&gt;" in page
         and "an abacus" in page
