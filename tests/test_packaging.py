@@ -12,7 +12,7 @@ import evqr
 
 # Backends, decoders and file libraries: none may be loaded by an import of the packages.
 HEAVY = (
-    "warp taichi torch jax zxingcpp reedsolo segno eventcv hdf5plugin h5py matplotlib distributed click tqdm"
+    "warp taichi torch jax zxingcpp segno eventcv hdf5plugin h5py matplotlib distributed click tqdm"
 ).split()
 
 

@@ -17,17 +17,14 @@ from dataclasses import dataclass
 from typing import Literal
 
 import numpy as np
-import reedsolo
 import zxingcpp
 from numpy.typing import NDArray
 
 from evqr.symbol.chance import count_pads, log_chance_contents
 from evqr.symbol.qr_codewords import Block, ErrorLevel, codeword_layout, format_words, symbol_of, unmasked
-from evqr.symbol.space import read_only, version_of
+from evqr.symbol.space import version_of
 
 Effort = Literal["quick", "full"]
-
-_FIELD = reedsolo.init_tables(prim=0x11D, generator=2, c_exp=8)  # GF(256) of the QR code
 
 _QR_CODE = zxingcpp.barcode_formats_from_str("QRCode")
 
@@ -282,7 +279,7 @@ def _correct_block(
     log_limit             natural logarithm of the largest acceptable number of chance contents
     """
     received = np.packbits(soft < 0.0)
-    syndromes = _syndromes(received, block.n_check)
+    syndromes = block.code.syndromes(received)
     strength = np.abs(soft)
     strength /= max(float(strength.sum()) / len(soft), _TINY)
     weights = np.minimum(strength, _WEIGHT_CAP)
@@ -292,7 +289,7 @@ def _correct_block(
     for n_erased in tries:
         if n_erased and not doubtful:
             doubtful = _doubtful(strength)
-        codewords = _reed_solomon(received, syndromes, doubtful[:n_erased])
+        codewords = block.code.correct(received, doubtful[:n_erased], syndromes=syndromes)
         if codewords is None:
             continue
         n_pads = count_pads(codewords[: block.n_data]) if padding else 0
@@ -335,43 +332,3 @@ def _tries(n_check: int, config: DecodeConfig, effort: Effort) -> list[int]:
         return tries
     chosen = np.linspace(0, len(tries) - 1, num=config.quick_tries).round().astype(int)
     return [tries[i] for i in sorted(set(chosen.tolist()))]
-
-
-@functools.lru_cache(maxsize=16)
-def _contributions(n: int, n_check: int) -> tuple[NDArray[np.intp], NDArray[np.uint8]]:
-    """Return the n places, and what each value at each of them adds to the syndromes, (n, 256, n_check)."""
-    log, exp, _ = _FIELD
-    powers = np.frombuffer(bytes(exp), dtype=np.uint8)
-    places = np.arange(n)
-    # codeword i counts 2^(k (n - 1 - i)) times in syndrome k
-    exponents = np.outer(places[::-1], np.arange(n_check))
-    table = powers[(np.array(log)[:, None] + exponents[:, None]) % 255]
-    table[:, 0] = 0  # zero has no logarithm
-    return read_only(places), read_only(table)
-
-
-def _syndromes(codewords: NDArray[np.uint8], n_check: int) -> NDArray[np.uint8]:
-    """Return the syndromes, all zero for a valid block.  reedsolo's own loop takes ten times as long."""
-    places, table = _contributions(len(codewords), n_check)
-    return np.bitwise_xor.reduce(table[places, codewords], axis=0)
-
-
-def _reed_solomon(
-    received: NDArray[np.uint8], syndromes: NDArray[np.uint8], erased: list[int]
-) -> NDArray[np.uint8] | None:
-    """Return the valid block within reach (2 errors + erasures <= check codewords), None if there is none."""
-    if not syndromes.any():
-        return received
-    # reedsolo keeps its field in module globals, which another user of it may have changed.
-    reedsolo.gf_log, reedsolo.gf_exp, reedsolo.field_charac = _FIELD
-    n, n_check = len(received), len(syndromes)
-    shifted = [0, *syndromes.tolist()]
-    try:
-        forney = reedsolo.rs_forney_syndromes(shifted, erased, n)
-        locator = reedsolo.rs_find_error_locator(forney, n_check, erase_count=len(erased))
-        errors = reedsolo.rs_find_errors(locator[::-1], n)
-        corrected = reedsolo.rs_correct_errata(received.tolist(), shifted, erased + errors)
-    except (reedsolo.ReedSolomonError, ZeroDivisionError):
-        return None
-    codewords = np.frombuffer(bytes(corrected), dtype=np.uint8)
-    return None if _syndromes(codewords, n_check).any() else codewords

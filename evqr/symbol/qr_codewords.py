@@ -13,6 +13,7 @@ from typing import Literal
 import numpy as np
 from numpy.typing import NDArray
 
+from evqr.symbol.reed_solomon import ReedSolomon
 from evqr.symbol.space import code_space, read_only, size_of
 
 ErrorLevel = Literal["L", "M", "Q", "H"]
@@ -27,6 +28,11 @@ class Block:
     codewords: slice
     n_data: int
     n_check: int
+
+    @property
+    def code(self) -> ReedSolomon:
+        """The code over GF(256) that it is a word of."""
+        return ReedSolomon(polynomial=0x11D, n_check=self.n_check)
 
     @property
     def bits(self) -> slice:

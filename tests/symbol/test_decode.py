@@ -5,7 +5,6 @@ from dataclasses import FrozenInstanceError
 
 import numpy as np
 import pytest
-import reedsolo
 import segno
 import zxingcpp
 from hypothesis import given, settings
@@ -225,13 +224,6 @@ def test_threads_decode_alike():
         assert list(pool.map(outcome, grids)) == [outcome(q) for q in grids]
 
 
-def test_other_users_of_reedsolo_do_no_harm():
-    rng = np.random.default_rng(2)
-    q = spoil(noisy(make("EVQR", 2, "M"), rng), 2, "M", 4, rng)
-    reedsolo.init_tables(prim=0x12D)
-    assert isinstance(decode_grid(q), Decoded)
-
-
 # ---- what is refused
 
 
@@ -305,7 +297,7 @@ def test_confidence_is_compared_with_the_floor():
 @pytest.mark.parametrize("start", [0xF0, 0x00, 0x40])  # no such mode; terminator; no letter
 def test_data_that_is_no_payload(start):
     data = bytes([start]) + bytes(15)
-    codewords = np.frombuffer(bytes(reedsolo.RSCodec(28, nsize=44).encode(data)), np.uint8)
+    codewords = codeword_layout(2, "H").blocks[0].code.encode(np.frombuffer(data, np.uint8))
     result = failure(symbol_of(codewords, 2, "H", 4))
     assert result.reason == "error correction succeeded, but the data is empty or malformed (level H, mask 4)"
 
