@@ -439,11 +439,11 @@ def test_what_is_not_there_is_refused(options, events):
 @pytest.mark.parametrize(
     ("options", "message"),
     [
-        ({"window_us": 0}, "window_us must be at least 1, got 0"),
-        ({"max_windows": 0}, "max_windows must be at least 1, got 0"),
-        ({"travel_px": 0.1}, "travel_px must be 0.2 to 50, got 0.1"),
-        ({"lag_us": (-1.0, 5.0)}, "lag_us must be two times"),
-        ({"lag_us": (1.0, float("nan"))}, "lag_us must be two times"),
+        ({"window_us": 0}, "window_us must be a whole number, at least 1, or None, got 0"),
+        ({"max_windows": 0}, "max_windows must be a whole number, at least 1, or None, got 0"),
+        ({"travel_px": 0.1}, "travel_px must be a number, at least 0.2 and at most 50, got 0.1"),
+        ({"lag_us": (-1.0, 5.0)}, "lag_us must be a tuple of 2, each a number, at least 0 and at most"),
+        ({"lag_us": (1.0, float("nan"))}, "lag_us must be a tuple of 2, each a number, .* got .1.0, nan."),
     ],
     ids=lambda value: next(iter(value)) if isinstance(value, dict) else "",
 )

@@ -120,14 +120,11 @@ def read(
 
 
 def _read_config(**given: Any) -> ReadConfig:
-    from evqr.config import ReadConfig, Vote
+    from evqr.config import ReadConfig
 
-    given = {name: value for name, value in given.items() if value is not None}
-    if "vote" in given:
-        given["vote"] = Vote(given["vote"])
     try:
-        return ReadConfig(**given)
-    except ValueError as error:
+        return ReadConfig(**{name: value for name, value in given.items() if value is not None})
+    except (TypeError, ValueError) as error:
         raise UsageError(str(error)) from error
 
 

@@ -20,6 +20,7 @@ import numpy as np
 import zxingcpp
 from numpy.typing import NDArray
 
+from evqr.config import DecodeConfig
 from evqr.symbol.chance import count_pads, log_chance_contents
 from evqr.symbol.qr_codewords import Block, ErrorLevel, codeword_layout, format_words, symbol_of, unmasked
 from evqr.symbol.space import version_of
@@ -33,46 +34,6 @@ _QR_CODE = zxingcpp.barcode_formats_from_str("QRCode")
 _WEIGHT_CAP = 2.0
 _LOG_ODDS = 4.0
 _TINY = float(np.finfo(np.float64).tiny)
-
-
-@dataclass(frozen=True, kw_only=True)
-class DecodeConfig:
-    """How hard to try, and how sure to be.
-
-    Attributes
-    ----------
-    min_confidence      a reading below is refused; above 0 and below 1
-    wrong_grids         grids without a code tried for each one with a code, the prior of the confidence; >= 1
-    format_candidates   most words of format information to try; 1 to 32
-    format_margin       their correlation may be this much below the best one's; 0 to 2
-    format_floor        below this correlation (1 is perfect) format information is unreadable; 0 to 1
-    quick_tries         tries a block with effort "quick", spread evenly over those of "full"; >= 1
-    min_check           check codewords that erasures must leave; >= 1
-    """
-
-    min_confidence: float = 0.999
-    wrong_grids: float = 1e6
-    format_candidates: int = 3
-    format_margin: float = 0.2
-    format_floor: float = 0.25
-    quick_tries: int = 4
-    min_check: int = 2
-
-    def __post_init__(self) -> None:
-        if not 0.0 < self.min_confidence < 1.0:
-            raise ValueError(f"min_confidence must be above 0 and below 1, got {self.min_confidence}")
-        if not self.wrong_grids >= 1.0:
-            raise ValueError(f"wrong_grids must be at least 1, got {self.wrong_grids}")
-        if not 1 <= self.format_candidates <= 32:
-            raise ValueError(f"format_candidates must be 1 to 32, got {self.format_candidates}")
-        for name in ("quick_tries", "min_check"):
-            if getattr(self, name) < 1:
-                raise ValueError(f"{name} must be at least 1, got {getattr(self, name)}")
-
-    @property
-    def log_chance_limit(self) -> float:
-        """Natural logarithm of the largest expected number of chance contents of a reading."""
-        return math.log((1.0 / self.min_confidence - 1.0) / self.wrong_grids)
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)

@@ -1,0 +1,45 @@
+"""Settings of the decoder."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from typing import Annotated
+
+from evqr.config.settings import Count, Range, Settings, Share
+
+
+@dataclass(frozen=True, kw_only=True)
+class DecodeConfig(Settings):
+    """How hard to try, and how sure to be.
+
+    Attributes
+    ----------
+    min_confidence : float
+        A reading below is refused. Chosen: one wrong text in a thousand grids that might have been one.
+    wrong_grids : float
+        Grids without a code tried for each one with a code, the prior of the confidence. Chosen.
+    format_candidates : int
+        Most words of format information to try. Chosen.
+    format_margin : float
+        Their correlation may be this much below the best one's, 0 to 2. Chosen.
+    format_floor : float
+        Correlation below which format information is unreadable, 0 to 1, where 1 is perfect. Chosen.
+    quick_tries : int
+        Tries a block with effort "quick", spread evenly over those of "full". Chosen.
+    min_check : int [codewords]
+        Check codewords that erasures must leave. Chosen.
+    """
+
+    min_confidence: Annotated[float, Range(above=0.0, below=1.0)] = 0.999
+    wrong_grids: Annotated[float, Range(least=1.0)] = 1e6
+    format_candidates: Annotated[int, Range(least=1, most=32)] = 3
+    format_margin: Annotated[float, Range(least=0.0, most=2.0)] = 0.2
+    format_floor: Share = 0.25
+    quick_tries: Count = 4
+    min_check: Count = 2
+
+    @property
+    def log_chance_limit(self) -> float:
+        """Natural logarithm of the largest expected number of chance contents of a reading."""
+        return math.log((1.0 / self.min_confidence - 1.0) / self.wrong_grids)

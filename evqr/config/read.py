@@ -1,0 +1,93 @@
+"""Settings of a reader: what users set, and the settings of its stages."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from enum import Enum
+from typing import Annotated
+
+from evqr.config.decode import DecodeConfig
+from evqr.config.fit import AlignConfig, LagConfig, ModulesConfig
+from evqr.config.search import FinderConfig, MotionConfig
+from evqr.config.settings import Count, Range, Settings
+from evqr.config.stream import SchedulerConfig, TrackConfig
+
+Lag = Annotated[float, Range(least=0.0, most=1e5)]
+
+
+class Vote(str, Enum):
+    """How windows of one code are combined."""
+
+    MODE = "mode"
+    """each module's majority over the windows, as in the paper"""
+    SOFT = "soft"
+    """mean of the real-valued estimates, weighted by their windows' information"""
+    INFORMATION = "information"
+    """sum of the windows' normal equations, solved once: the least-squares answer for all of them"""
+
+
+@dataclass(frozen=True, kw_only=True)
+class ReadConfig(Settings):
+    """What a reader does with a recording.
+
+    Attributes
+    ----------
+    window_us : int [us], optional
+        Length of a window. Default: as long as ``travel_px`` takes.
+    travel_px : float [px]
+        Travel of the code in one window. Chosen: 0.3 to 8 were seen to work.
+    max_windows : int, optional
+        Stop after so many windows. Default: all.
+    lag_us : tuple of 2 floats [us], optional
+        Time constants of the pixels for ON and for OFF events. Default: estimated.
+    vote : Vote
+        How windows are combined. Measured: INFORMATION leaves the fewest modules wrong
+        (tests/solver/test_vote.py).
+    search_px : float [px]
+        Travel between two searches for a code while none is tracked. Chosen.
+    follow_px : float [px]
+        Travel between two windows of a code that is read already. Chosen.
+    motion : MotionConfig
+        Motion from cold.
+    finder : FinderConfig
+        Search for finder patterns.
+    align : AlignConfig
+        Pose and gain.
+    lag : LagConfig
+        Estimate of the lags.
+    modules : ModulesConfig
+        Estimate of the modules.
+    decode : DecodeConfig
+        From modules to text.
+    scheduler : SchedulerConfig
+        When a stream is searched.
+    track : TrackConfig
+        How a code is followed.
+    """
+
+    window_us: Count | None = None
+    travel_px: Annotated[float, Range(least=0.2, most=50.0)] = 2.0
+    max_windows: Count | None = None
+    lag_us: tuple[Lag, Lag] | None = None
+    vote: Vote = Vote.INFORMATION
+    search_px: Annotated[float, Range(least=0.2, most=1000.0)] = 10.0
+    follow_px: Annotated[float, Range(least=0.2, most=1000.0)] = 8.0
+    motion: MotionConfig = field(default_factory=MotionConfig)
+    finder: FinderConfig = field(default_factory=FinderConfig)
+    align: AlignConfig = field(default_factory=AlignConfig)
+    lag: LagConfig = field(default_factory=LagConfig)
+    modules: ModulesConfig = field(default_factory=ModulesConfig)
+    decode: DecodeConfig = field(default_factory=DecodeConfig)
+    scheduler: SchedulerConfig = field(default_factory=SchedulerConfig)
+    track: TrackConfig = field(default_factory=TrackConfig)
+
+    # until the solver is written anew
+    @property
+    def stage_one(self) -> AlignConfig:
+        """Pose and gain."""
+        return self.align
+
+    @property
+    def stage_two(self) -> ModulesConfig:
+        """Estimate of the modules."""
+        return self.modules

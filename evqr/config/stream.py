@@ -1,0 +1,61 @@
+"""Settings of the loop over time: when to search, how to follow."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Annotated
+
+from evqr.config.settings import Count, NotNegative, Positive, Range, Settings
+
+
+@dataclass(frozen=True, kw_only=True)
+class SchedulerConfig(Settings):
+    """When a stream is searched for codes.
+
+    Attributes
+    ----------
+    unknown_us : int [us]
+        Time between two searches while the speed is unknown. Chosen.
+    longest_us : int [us]
+        Longest time between two searches. Chosen: what is in view now may be slow, and a fast code may come.
+    seldom : float
+        How much less often is searched while a code that was read is followed. Chosen.
+    codes_a_search : int
+        Codes that one search finds at most. Chosen.
+    margin_modules : float [modules]
+        Around a followed code whose events a search does not see: its quiet zone. The standard's four
+        modules.
+    same_place : float
+        How far from where a lost code must be one with the same text may be found for them to be one, in
+        sizes of the code. Chosen: two codes cannot overlap.
+    """
+
+    unknown_us: Count = 2_000
+    longest_us: Count = 20_000
+    seldom: Annotated[float, Range(least=1.0)] = 2.0
+    codes_a_search: Count = 16
+    margin_modules: NotNegative = 4.0
+    same_place: Positive = 0.5
+
+
+@dataclass(frozen=True, kw_only=True)
+class TrackConfig(Settings):
+    """How one code is followed from window to window.
+
+    Attributes
+    ----------
+    baseline : int [windows]
+        Over which the velocity is measured. Chosen: long enough for precision, short enough for a speed that
+        changes.
+    full_effort_every : int [windows]
+        Between two attempts at decoding with many erasures; the others are quick. Chosen.
+    patience : int [windows]
+        Without a reading, after which a code that agrees badly with its known modules is given up. Chosen.
+    max_misses : int [windows]
+        In a row without the code, after which it is lost. Chosen.
+    """
+
+    baseline: Annotated[int, Range(least=2)] = 8
+    full_effort_every: Count = 4
+    patience: Count = 16
+    max_misses: Count = 2
