@@ -12,12 +12,12 @@ from dataclasses import dataclass
 from queue import SimpleQueue
 from typing import TYPE_CHECKING, Any
 
-from evqr.events.buffer import EventBuffer
 from evqr.fit.modules import solve_modules
 from evqr.geometry import affine_to_code
 from evqr.recording import Recording, open_recording
 from evqr.results import ReadResult, ReadStatus, WindowReading
 from evqr.solver import Sighting, Solver, StageClock, Unseen
+from evqr.stream.feed import Feed
 from evqr.stream.scheduler import Passes, Progress
 from evqr.symbol.decode import Decoded, decode_grid
 
@@ -66,7 +66,7 @@ def read_codes(
     with ExitStack() as stack:
         recording, path = _open(source, sensor, time_unit, stack)
         solvers, pool = _solvers(threads, stack, config=config, backend=backend, device=device)
-        passes = Passes(solvers, EventBuffer(recording.chunks()), recording, pool=pool, progress=progress)
+        passes = Passes(solvers, Feed(recording), recording, pool=pool, progress=progress)
         passes.run()
         seen = passes.seen()
     compute = {**passes.clock.ms, "total": 1e3 * (time.perf_counter() - started)}
@@ -108,7 +108,7 @@ def read_windows(
     with ExitStack() as stack:
         recording, _ = _open(source, sensor, time_unit, stack)
         solvers, pool = _solvers(threads, stack, config=config, backend=backend, device=device)
-        events = EventBuffer(recording.chunks())
+        events = Feed(recording)
         if pool is None:
             for start in _starts(events, recording, solvers[0]):
                 events.forget(start.us)
@@ -152,7 +152,7 @@ def _solvers(
     return solvers, stack.enter_context(ThreadPoolExecutor(count)) if count > 1 else None
 
 
-def _tell(progress: Progress | None, now_us: int, events: EventBuffer, recording: Recording) -> None:
+def _tell(progress: Progress | None, now_us: int, events: Feed, recording: Recording) -> None:
     if progress is not None and events.first_us is not None:
         last = recording.t_last_us
         progress(now_us - events.first_us, None if last is None else last - events.first_us)
@@ -167,7 +167,7 @@ class _Start:
     length_us: int | None
 
 
-def _starts(events: EventBuffer, recording: Recording, solver: Solver) -> Iterator[_Start]:
+def _starts(events: Feed, recording: Recording, solver: Solver) -> Iterator[_Start]:
     """Windows to read, in order of time."""
     cfg = solver.config
     first = events.first_us
@@ -193,7 +193,7 @@ def _starts(events: EventBuffer, recording: Recording, solver: Solver) -> Iterat
         start_us += length
 
 
-def _read_alone(start: _Start, events: EventBuffer, solver: Solver) -> WindowReading:
+def _read_alone(start: _Start, events: Feed, solver: Solver) -> WindowReading:
     """Read one window from cold."""
     solver.clock = StageClock()
     start_us, length = start.us, start.length_us

@@ -192,7 +192,8 @@ class Solver:
     def motion_at(self, events: EventBuffer, start_us: int, *, speed: float | None = None) -> Motion | None:
         """Estimate the motion at a time of a stream from cold; ``speed`` is a guess [px/s]."""
         with self.clock("motion"):
-            return find_motion(events, start_us, self.config.motion, workspace=self.workspace, speed=speed)
+            asking = find_motion(start_us, self.config.motion, workspace=self.workspace, speed=speed)
+            return events.answer(asking)
 
     def motion_in(self, window: Window) -> Motion | None:
         """Estimate the motion from one window's events alone."""

@@ -72,7 +72,7 @@ class Timing:
 
 def prepare(recording: Recording, solver: Solver) -> list[Job]:
     """Find out, untimed, what "tracked" and "descent" start from."""
-    buffer = EventBuffer(iter([recording.events]))
+    buffer = EventBuffer.of(recording.events)
     jobs = []
     for start_us in recording.starts_us:
         motion = solver.motion_at(buffer, start_us)

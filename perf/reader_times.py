@@ -35,7 +35,7 @@ def check(device: str) -> float:
     """Refuse to go on unless the backend is right; return how long the first window took [ms]."""
     solvers = {"auto": Solver(device=device), "numpy": Solver(backend="numpy")}
     events = simulate(**cases.GATE).events
-    buffer = EventBuffer(iter([events]))
+    buffer = EventBuffer.of(events)
     start = int(events.t[0]) + 500
     found = {}
     for backend, solver in solvers.items():

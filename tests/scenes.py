@@ -104,3 +104,17 @@ def noise(count: int, duration_us: int, *, seed: int = 0, width: int = 320, heig
         width,
         height,
     )
+
+
+def events_at(times):
+    """Events at given times, all different in x, y and p."""
+    t = np.array(times, np.int64)
+    k = np.arange(len(t))
+    return EventArray(
+        t,
+        (k % 64).astype(np.uint16),
+        (k // 64 % 48).astype(np.uint16),
+        (2 * (k % 2) - 1).astype(np.int8),
+        64,
+        48,
+    )

@@ -294,8 +294,12 @@ def test_shuffled_events_give_nothing(events):
 @pytest.mark.parametrize("threads", [1, 2])
 def test_what_does_not_move_at_all_gives_nothing(threads, events, monkeypatch):
     """A peak of the correlation at no shift that is no vertex either: its place is whole steps, so zero."""
-    still = Motion(np.zeros(2), 0.5)
-    monkeypatch.setattr("evqr.solver.find_motion", lambda *_, **__: still)
+
+    def still(*_, **__):
+        return Motion(np.zeros(2), 0.5)
+        yield  # asks for no window
+
+    monkeypatch.setattr("evqr.solver.find_motion", still)
     assert read_codes(events, threads=threads).status is ReadStatus.NO_READ
     windows = list(read_windows(events, config=ReadConfig(max_windows=4), threads=threads))
     assert [window.status for window in windows] == [ReadStatus.NO_CODE] * 4

@@ -2,76 +2,187 @@
 
 from __future__ import annotations
 
-import threading
-from collections.abc import Iterator
+from bisect import bisect_left
+from collections.abc import Generator
+from typing import NamedTuple, TypeAlias, TypeVar
 
 import numpy as np
 
 from evqr.events.array import EventArray
 from evqr.events.window import Window
 
+SMALLEST_BLOCK = 1 << 14
+"""Room for events that is made at least: chunks of a few events then seldom ask for more."""
+
+T = TypeVar("T")
+
+Asking: TypeAlias = Generator[tuple[int, int], Window, T]
+"""Work that asks for windows as it goes: it yields the bounds of each [us], is sent the window, and returns
+what it worked out.  Who runs it decides when the events are there."""
+
+
+class _Held(NamedTuple):
+    """Events ``first`` to ``last - 1`` of a block, whose first event is number ``base`` of the stream."""
+
+    block: EventArray
+    first: int
+    last: int
+    base: int
+
+    def place_of(self, time_us: float) -> int:
+        """Place in the block of the first event held at a time or later."""
+        return bisect_left(self.block.t, time_us, self.first, self.last)
+
 
 class EventBuffer:
     """The part of a stream that windows are still cut from.
 
-    Holds whole chunks, from the oldest one that is still wanted to the newest one that was asked for;
-    `forget` lets go of the old ones, so the memory is bounded by the longest window and one chunk.  Several
-    threads may cut windows at once.
+    Chunks are copied one behind the other into a block of columns, so they may be of any size and the arrays
+    of the caller are free again.  When a block is full, what is still wanted of it moves to a new one with as
+    much room again: an event is moved about twice at most, however small the chunks and however long it is
+    wanted.  Windows are views of blocks.  What a block holds never changes, so windows stay valid, and any
+    number of threads may cut windows while one pushes and forgets.
+
+    Parameters
+    ----------
+    width, height : int [px]
+        Size of the sensor.
+
+    Attributes
+    ----------
+    first_us, last_us : int or None [us]
+        Times of the first and of the newest event of the stream; None before any came.
+    pushed : int
+        Events of the stream so far.
+    closed : bool
+        Whether the stream has ended.
     """
 
-    def __init__(self, chunks: Iterator[EventArray]) -> None:
-        self._chunks = chunks
-        self._held: list[EventArray] = []
-        self._ended = False
-        self._lock = threading.RLock()
+    def __init__(self, width: int, height: int) -> None:
         self.first_us: int | None = None
-        self.seen = 0
-        self._load()
+        self.last_us: int | None = None
+        self.pushed = 0
+        self.closed = False
+        self._stream = object()
+        self._size = width, height
+        self._held = _Held(_room(0, width, height), 0, 0, 0)
+        self._known_us: float = -np.inf
+        self._forgotten_us: float = -np.inf
 
-    def _load(self) -> None:
-        for chunk in self._chunks:
-            if len(chunk):
-                if self.first_us is None:
-                    self.first_us = int(chunk.t[0])
-                self.seen += len(chunk)
-                self._held.append(chunk)
-                return
-        self._ended = True
+    @classmethod
+    def of(cls, events: EventArray) -> EventBuffer:
+        """Give a closed buffer that holds a whole recording."""
+        buffer = cls(events.width, events.height)
+        buffer.push(events)
+        buffer.close()
+        return buffer
 
-    @property
-    def last_us(self) -> int:
-        """Time of the newest event held [us]."""
-        return int(self._held[-1].t[-1])
+    def push(self, events: EventArray) -> None:
+        """Take the next events of the stream.
+
+        Parameters
+        ----------
+        events : EventArray
+            In order of time, none before the newest that was pushed or the time advanced to.
+
+        Raises
+        ------
+        ValueError
+            When they come too late, after `close`, or of a sensor of another size.
+        """
+        if self.closed:
+            raise ValueError("events were pushed to a stream that is closed")
+        if (events.width, events.height) != self._size:
+            width, height = self._size
+            raise ValueError(
+                f"events must be of a sensor {width}x{height}, got {events.width}x{events.height}"
+            )
+        count = len(events)
+        if count == 0:
+            return
+        first_us = int(events.t[0])
+        if first_us < self._known_us:
+            raise ValueError(
+                f"events must come in order of time: {first_us} us came after {self._known_us} us"
+            )
+        held = self._held
+        if held.last + count > len(held.block):
+            held = self._moved(held, count)
+        block, end = held.block, held.last + count
+        block.t[held.last : end] = events.t
+        block.x[held.last : end] = events.x
+        block.y[held.last : end] = events.y
+        block.p[held.last : end] = events.p
+        self._held = held._replace(last=end)
+        if self.first_us is None:
+            self.first_us = first_us
+        self.last_us = int(events.t[-1])
+        self._known_us = self.last_us
+        self.pushed += count
+
+    def _moved(self, held: _Held, count: int) -> _Held:
+        """Give the events held in a new block with room for more."""
+        live = held.last - held.first
+        block = _room(max(2 * live + count, SMALLEST_BLOCK), *self._size)
+        old = held.block.cut(held.first, held.last)
+        block.t[:live], block.x[:live], block.y[:live], block.p[:live] = old.t, old.x, old.y, old.p
+        return _Held(block, 0, live, held.base + held.first)
+
+    def advance(self, time_us: int) -> None:
+        """Say that all events before a time were pushed, though none may have come since long [us]."""
+        self._known_us = max(self._known_us, time_us)
+
+    def close(self) -> None:
+        """Say that the stream has ended."""
+        self.closed = True
 
     def reaches(self, time_us: float) -> bool:
-        """Load the stream up to a time; False when it ends before."""
-        with self._lock:
-            while not self._ended and (not self._held or self.last_us < time_us):
-                self._load()
-            return bool(self._held) and self.last_us >= time_us
+        """Whether the stream went on to a time, so that all events before it are here."""
+        return self._known_us >= time_us
 
     def forget(self, before_us: float) -> None:
-        """Let go of chunks that end before a time."""
-        with self._lock:
-            while len(self._held) > 1 and self._held[0].t[-1] < before_us:
-                self._held.pop(0)
+        """Let go of events before a time; no window may begin there any more."""
+        if before_us > self._forgotten_us:
+            self._forgotten_us = before_us
+            self._held = self._held._replace(first=self._held.place_of(before_us))
+
+    def count_before(self, time_us: float) -> int:
+        """Events of the stream before a time, which must not be forgotten."""
+        held = self._held
+        return held.base + held.place_of(time_us)
 
     def window(self, start_us: int, end_us: int) -> Window:
-        """Cut a window, loading what it needs."""
-        with self._lock:
-            self.reaches(end_us)
-            held = list(self._held)
-        chunks = [chunk for chunk in held if chunk.t[-1] >= start_us and chunk.t[0] < end_us]
-        if len(chunks) == 1:
-            first, last = chunks[0].first_at(start_us), chunks[0].first_at(end_us)
-            return Window(chunks[0].cut(first, last), start_us, end_us, origin=(chunks[0], first))
-        parts = [chunk.between(start_us, end_us) for chunk in chunks] or [held[-1].cut(0, 0)]
-        joined = EventArray(
-            np.concatenate([part.t for part in parts]),
-            np.concatenate([part.x for part in parts]),
-            np.concatenate([part.y for part in parts]),
-            np.concatenate([part.p for part in parts]),
-            parts[0].width,
-            parts[0].height,
-        )
-        return Window(joined, start_us, end_us)
+        """Cut a window.
+
+        Windows of one stream that begin with the same event know it (`Window.begins_like`).
+
+        Raises
+        ------
+        ValueError
+            When it begins in what is forgotten, or ends after what has come while the stream goes on.
+        """
+        if start_us < self._forgotten_us:
+            raise ValueError(
+                f"a window from {start_us} us begins in what is forgotten, up to {self._forgotten_us} us"
+            )
+        if not self.closed and end_us > self._known_us:
+            raise ValueError(f"a window to {end_us} us ends after what has come, up to {self._known_us} us")
+        held = self._held
+        first, last = held.place_of(start_us), held.place_of(end_us)
+        origin = self._stream, held.base + first
+        return Window(held.block.cut(first, max(first, last)), start_us, end_us, origin=origin)
+
+    def answer(self, asking: Asking[T]) -> T:
+        """Run work that asks for windows, all of whose events are here, and give what it returns."""
+        try:
+            bounds = next(asking)
+            while True:
+                bounds = asking.send(self.window(*bounds))
+        except StopIteration as end:
+            return end.value
+
+
+def _room(count: int, width: int, height: int) -> EventArray:
+    """Columns for so many events, with undefined contents."""
+    x, y = np.empty((2, count), np.uint16)
+    return EventArray(np.empty(count, np.int64), x, y, np.empty(count, np.int8), width, height)

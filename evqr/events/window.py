@@ -1,4 +1,4 @@
-"""Windows of events, with times relative to a reference, and the buffer that they are cut from."""
+"""Windows of events, with times relative to a reference."""
 
 from __future__ import annotations
 
@@ -19,12 +19,12 @@ class Window:
     ----------
     events             as recorded, in order of time
     start_us, end_us   bounds, the end not included [us]
-    origin             what the events were cut from, and the first of them there: windows that share it share
-                       their first events.  None: unknown
+    origin             the stream that the events were cut from, and the number of the first of them there:
+                       windows that share it share their first events.  None: unknown
     """
 
     def __init__(
-        self, events: EventArray, start_us: int, end_us: int, *, origin: tuple[EventArray, int] | None = None
+        self, events: EventArray, start_us: int, end_us: int, *, origin: tuple[object, int] | None = None
     ) -> None:
         self.events = events
         self.start_us = start_us
@@ -58,7 +58,7 @@ class Window:
         """Whether the shorter of the two is the beginning of the other, so that it has the same events."""
         if self.origin is None or other.origin is None:
             return self is other
-        return self.origin[0] is other.origin[0] and self.origin[1] == other.origin[1]
+        return self.origin == other.origin
 
     @cached_property
     def x(self) -> NDArray[np.float32]:

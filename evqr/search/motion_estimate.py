@@ -15,7 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from evqr.config import MotionConfig
-from evqr.events.buffer import EventBuffer
+from evqr.events.buffer import Asking
 from evqr.events.window import Window
 from evqr.workspace import EventSlots, Workspace
 
@@ -139,20 +139,25 @@ def window_length_us(speed: float, travel_px: float, cfg: MotionConfig) -> int:
 
 
 def find_motion(
-    events: EventBuffer, start_us: int, cfg: MotionConfig, *, workspace: Workspace, speed: float | None = None
-) -> Motion | None:
+    start_us: int, cfg: MotionConfig, *, workspace: Workspace, speed: float | None = None
+) -> Asking[Motion | None]:
     """Estimate the motion at a time from cold: look coarsely, then over a window that suits the speed.
+
+    Which windows it takes depends on what the ones before say, so it asks for them one by one
+    (`EventBuffer.answer` runs it where all events are there).
 
     Parameters
     ----------
-    speed   a guess, from an earlier window [px/s]; None: nothing known
+    start_us : int [us]
+        All windows begin here.
+    speed : float [px/s]
+        A guess, from an earlier window; None: nothing known.
     """
     if speed is None:
         length = cfg.probe_us
         for _ in range(4):
-            coarse = estimate_motion(
-                events.window(start_us, start_us + length), cfg, workspace=workspace, reduction=cfg.reduction
-            )
+            window = yield start_us, start_us + length
+            coarse = estimate_motion(window, cfg, workspace=workspace, reduction=cfg.reduction)
             if coarse is not None and coarse.speed * length * 1e-6 >= 1.0:
                 speed = coarse.speed
                 break
@@ -161,6 +166,5 @@ def find_motion(
             length = min(4 * length, cfg.longest_us)
         else:
             return None
-    assert speed is not None
-    length = window_length_us(speed, cfg.travel_px, cfg)
-    return estimate_motion(events.window(start_us, start_us + length), cfg, workspace=workspace)
+    window = yield start_us, start_us + window_length_us(speed, cfg.travel_px, cfg)
+    return estimate_motion(window, cfg, workspace=workspace)

@@ -15,12 +15,12 @@ from typing import Any
 
 import numpy as np
 
-from evqr.events.buffer import EventBuffer
 from evqr.events.window import Window
 from evqr.recording import Recording
 from evqr.results import CodeReading
 from evqr.search.motion_estimate import Motion, travel_time_us
 from evqr.solver import Sighting, Solver, StageClock, Unseen
+from evqr.stream.feed import Feed
 from evqr.stream.track import Track
 
 Progress = Callable[[int, "int | None"], None]
@@ -62,7 +62,7 @@ class Passes:
     def __init__(
         self,
         solvers: list[Solver],
-        events: EventBuffer,
+        events: Feed,
         recording: Recording,
         *,
         pool: Executor | None = None,
@@ -247,8 +247,8 @@ class Passes:
         """Say what was seen, for a report."""
         first = self.events.first_us or 0
         return {
-            "events": self.events.seen,
-            "duration_us": self.events.last_us - first if self.events.seen else 0,
+            "events": self.events.pushed,
+            "duration_us": (self.events.last_us or 0) - first,
             "windows": self._windows,
             "searches": self._searches,
             "codes_not_decoded": len(self._unread),

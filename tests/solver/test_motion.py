@@ -20,7 +20,7 @@ DIRECTION_TOLERANCE_DEG = 10.0
 
 
 def find(events, start_us=0, **options):
-    return find_motion(EventBuffer(iter([events])), start_us, CONFIG, **options)
+    return EventBuffer.of(events).answer(find_motion(start_us, CONFIG, **options))
 
 
 def between_deg(a, b):
@@ -117,10 +117,26 @@ def test_hot_pixels_do_not_fool_it(workspace):
 def test_motion_at_a_later_time_of_a_stream_in_chunks(workspace):
     made, velocity = small(direction=135.0)
     events, start = made.events, 700
-    pieces = iter([events.cut(k, k + 5000) for k in range(0, len(events), 5000)])
-    found = find_motion(EventBuffer(pieces), start, CONFIG, workspace=workspace)
+    buffer = EventBuffer(events.width, events.height)
+    for k in range(0, len(events), 5000):
+        buffer.push(events.cut(k, k + 5000))
+    buffer.close()
+    found = buffer.answer(find_motion(start, CONFIG, workspace=workspace))
     assert_close(found, velocity)
     np.testing.assert_array_equal(found.velocity, find(events, start, workspace=workspace).velocity)
+
+
+def test_the_search_for_motion_asks_for_longer_windows_one_by_one(workspace):
+    """From cold with too few events to say anything: each begins at the same place, four times as long."""
+    events, asked = noise(150, 60_000), []
+    asking, buffer = find_motion(100, CONFIG, workspace=workspace), EventBuffer.of(events)
+    bounds = next(asking)
+    with pytest.raises(StopIteration) as end:
+        while True:
+            asked.append(bounds)
+            bounds = asking.send(buffer.window(*bounds))
+    assert end.value.value is None
+    assert asked == [(100, 1_100), (100, 4_100), (100, 16_100), (100, 50_100)]
 
 
 def test_an_answer_is_the_same_every_time(workspace):

@@ -37,7 +37,7 @@ def assert_there(slots, window):
 
 
 def test_windows_of_one_beginning_share_their_events(workspace, events):
-    buffer = EventBuffer(iter([events]))
+    buffer = EventBuffer.of(events)
     long, short = buffer.window(500, 3500), buffer.window(500, 1500)
     slots = workspace.events(long)
     slots.x[0] = -7.0  # whoever loads again finds another value there
@@ -46,6 +46,18 @@ def test_windows_of_one_beginning_share_their_events(workspace, events):
     np.testing.assert_array_equal(slots.t[: len(short)], short.events.t - short.middle_us)
     assert_there(workspace.events(buffer.window(501, 1500)), buffer.window(501, 1500))
     assert_there(workspace.events(buffer.window(500, 3600)), buffer.window(500, 3600))
+
+
+@pytest.mark.parametrize("chunk", [1, 7, 600, 2500])
+def test_windows_share_their_events_across_chunks(chunk, workspace, events):
+    buffer = EventBuffer(events.width, events.height)
+    for k in range(0, COUNT, chunk):
+        buffer.push(events.cut(k, k + chunk))
+    buffer.close()
+    slots = workspace.events(buffer.window(500, 3500))
+    slots.x[0] = -7.0
+    assert workspace.events(buffer.window(500, 1500)).x[0] == -7.0
+    assert_there(workspace.events(buffer.window(501, 1500)), buffer.window(501, 1500))
 
 
 def test_a_window_is_loaded_once(workspace, events):
