@@ -103,6 +103,18 @@ PIPELINE = {
     },
 }
 
+#: Scenes with things that look a little like a code, and none, for the pipeline against another commit.
+WITHOUT_CODE = {
+    "decoys-fast": {
+        "windows": 4,
+        "scene": {"code": False, "direction": 10.0, "speed_px_ms": 5.0, "preset": "fast", "seed": 11},
+    },
+    "decoys-slow": {
+        "windows": 4,
+        "scene": {"code": False, "direction": 110.0, "speed_px_ms": 2.0, "preset": "slow", "seed": 12},
+    },
+}
+
 #: What must be read, and alike on every backend, before a time is printed.
 GATE = {
     "text": "GATE",

@@ -5,6 +5,9 @@ tracked     the code was seen in the window before: stage one, stage two, decodi
 integrate   rival (a): the same motion from cold, an image by integration, an ordinary decoder
 integrate4  the same over a window twice as long, which it reads more of
 descent     rival (b): the paper's gradient descent, from the motion and the pose that stage one starts from
+
+`against.py` runs this file as it is at other commits: `Recording`, `prepare`, `can_run`, `RUN` and a job's
+``start_us`` keep their names and arguments.
 """
 
 from __future__ import annotations

@@ -83,8 +83,9 @@ def load_seconds(device: str) -> tuple[float, float]:
 
 
 def simulated(name: str) -> pipeline.Recording:
-    case = cases.PIPELINE[name]
-    return _recording(name, simulate(**case["scene"]).events, {case["scene"]["text"]}, case["windows"])
+    case = {**cases.PIPELINE, **cases.WITHOUT_CODE}[name]
+    texts = {case["scene"]["text"]} if "text" in case["scene"] else set()
+    return _recording(name, simulate(**case["scene"]).events, texts, case["windows"])
 
 
 def recorded(path: Path, windows: int = 8) -> pipeline.Recording | None:

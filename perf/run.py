@@ -4,6 +4,7 @@
 usage: run.py --op NAME ...|all [--backend warp] [--device cpu] [--dtype float32] [--case NAME ...]
        run.py --pipeline [--threads] [--recordings DIR | --case NAME ...] [--device cpu]
        [--rounds N] [--format human|csv|json] [--save] [--base FILE]
+       run.py --pipeline --against REF [as above, without --threads]
 
 --op        operations (perf/ops.py) beside the same in numba, torch, SciPy, OpenCV and event libraries
             (perf/peers.py), interleaved; an adjoint beside its operation.  Compilation, first launch and
@@ -17,12 +18,18 @@ usage: run.py --op NAME ...|all [--backend warp] [--device cpu] [--dtype float32
             (perf/cases.py) or on recordings that carry their truth; ratios from pairs on the same window.
             Required: cold no slower than (a) integrate; tracked 4 times as fast as (a) and 20 times as
             (b) descent.
+--against   cold and tracked windows of this tree and of another commit in pairs (perf/against.py), on scenes
+            with and without a code; and that commit against itself, which shows the run's noise.  REF gets a
+            work tree and an environment of its own, kept for the next time.  Required: on windows with a code
+            REF's time at least 0.95 of this tree's, and everywhere REF's text or the right one.
 --threads   windows a second with one and with two threads.  Required: 1.7 times as many.
 
-No time is printed unless what is timed agrees with the NumPy specification: an operation and its rivals on
-a small problem, the pipeline on a known scene that must be read.  Ratios are medians of pairs, others over
+No other time is printed unless what is timed agrees with the NumPy specification: an operation and its rivals
+on a small problem, the pipeline on a known scene that must be read.  Ratios are medians of pairs, others over
 ours: more than 1 is faster.  --base compares with a saved run.  Exit 1 when a requirement is missed.
 """
+
+from __future__ import annotations
 
 import os
 
@@ -32,7 +39,9 @@ os.environ["POLARS_MAX_THREADS"] = "1"
 
 import argparse
 import sys
+from collections.abc import Iterable
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import cases
 import machine
@@ -41,7 +50,12 @@ import table
 from table import Row
 from tqdm import tqdm
 
+if TYPE_CHECKING:
+    from pipeline import Recording
+
 OP_CASES = (*cases.SIZES, "growth", "threads")
+AGAINST_CASES = (*cases.PIPELINE, *cases.WITHOUT_CODE)
+AGAINST_ROUNDS = 5
 
 
 def time_reader(arguments: argparse.Namespace, about: dict[str, str]) -> list[Row]:
@@ -54,15 +68,33 @@ def time_reader(arguments: argparse.Namespace, about: dict[str, str]) -> list[Ro
     about["first window"] = f"{first_ms:.0f} ms, cold, tables and buffers made in it"
     rows: list[Row] = []
     if arguments.pipeline:
-        if arguments.recordings:
-            found = map(reader_times.recorded, sorted(arguments.recordings.glob("*.h5")))
-            recordings = [recording for recording in found if recording is not None]
-        else:
-            recordings = [reader_times.simulated(name) for name in arguments.case or cases.PIPELINE]
+        recordings = recordings_of(arguments, cases.PIPELINE)
         rows += reader_times.time_pipeline(recordings, arguments.device, arguments.rounds or 3)
     if arguments.threads:
         rows += reader_times.time_threads(arguments.device)
     return rows
+
+
+def time_against(arguments: argparse.Namespace, about: dict[str, str]) -> list[Row]:
+    """Time the pipeline against that of another commit."""
+    import against
+
+    recordings = recordings_of(arguments, AGAINST_CASES)
+    told, rows = against.time_against(
+        arguments.against, recordings, arguments.device, arguments.rounds or AGAINST_ROUNDS
+    )
+    about |= told
+    return rows
+
+
+def recordings_of(arguments: argparse.Namespace, names: Iterable[str]) -> list[Recording]:
+    """Give what the pipeline is timed on: recordings, the cases asked for, or all of them."""
+    import reader_times
+
+    if arguments.recordings:
+        found = map(reader_times.recorded, sorted(arguments.recordings.glob("*.h5")))
+        return [recording for recording in found if recording is not None]
+    return [reader_times.simulated(name) for name in arguments.case or names]
 
 
 def time_ops(arguments: argparse.Namespace, about: dict[str, str]) -> list[Row]:
@@ -104,8 +136,9 @@ def main() -> int:
     parser.add_argument("--op", nargs="+", metavar="NAME", choices=("all", *ops.PROBLEMS))
     parser.add_argument("--pipeline", action="store_true")
     parser.add_argument("--threads", action="store_true")
+    parser.add_argument("--against", metavar="REF", help="a commit to time the pipeline against, bab4626 say")
     parser.add_argument("--recordings", type=Path, metavar="DIR", help="of .h5 files with their truth")
-    parser.add_argument("--case", nargs="+", metavar="NAME", choices=(*OP_CASES, *cases.PIPELINE))
+    parser.add_argument("--case", nargs="+", metavar="NAME", choices=(*OP_CASES, *AGAINST_CASES))
     parser.add_argument(
         "--backend", choices=("numpy", "warp", "taichi"), default="warp", help="of operations"
     )
@@ -123,18 +156,22 @@ def main() -> int:
     of_reader = arguments.pipeline or arguments.threads
     if bool(arguments.op) == of_reader:
         parser.error("name what to time: --op, or --pipeline, --threads or both")
-    allowed = OP_CASES if arguments.op else tuple(cases.PIPELINE)
+    if arguments.against and (not arguments.pipeline or arguments.threads):
+        parser.error("--against is for --pipeline, without --threads")
+    allowed = OP_CASES if arguments.op else AGAINST_CASES if arguments.against else tuple(cases.PIPELINE)
     for case in set(arguments.case or ()) - set(allowed):
         parser.error(f"--case must be one of {', '.join(allowed)} here, got {case!r}")
 
     about = machine.describe(arguments.device)
-    rows = (time_ops if arguments.op else time_reader)(arguments, about)
+    measure = time_ops if arguments.op else time_against if arguments.against else time_reader
+    rows = measure(arguments, about)
     if arguments.base:
         table.compare(rows, arguments.base)
     write = {"human": table.as_human, "csv": table.as_csv, "json": table.as_json}[arguments.format]
     print(write(about, rows), end="")
     if arguments.save:
         labels = ("operations", *(arguments.case or ())) if arguments.op else ()
+        labels = ("against", arguments.against, *(arguments.case or ())) if arguments.against else labels
         table.save(arguments.device, about, rows, *labels)
     return 0 if all(map(table.met, rows)) else 1
 
