@@ -28,8 +28,7 @@ from evqr.results import ReadResult, ReadStatus
 
 if TYPE_CHECKING:
     from evqr.config import ReadConfig
-    from evqr.recording import Recording
-    from evqr.recording.source import TimeUnit
+    from evqr.recording import Recording, TimeUnit
 
 
 @click.command(
@@ -114,7 +113,7 @@ def read(
             status = _read_each_window(recording, as_json, threads=threads, **compute)
         else:
             status = _read_one(recording, as_json, picture, threads=threads, **compute)
-        for warning in recording.warnings:
+        for warning in recording.notes:
             note(f"{recording.path}: {warning}")
         return status
 

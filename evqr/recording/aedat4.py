@@ -1,65 +1,106 @@
-"""AEDAT4 (iniVation DV), decoded packet by packet by eventcv (extra ``formats``).
+"""AEDAT4 (iniVation DV), decoded packet by packet by the package aedat (extra ``formats``).
 
-Only the events are read; frames, IMU samples and triggers are passed over.
+Only events are read; frames, IMU samples and triggers are passed over.  A file may hold several event
+streams, of several cameras or of steps of a filter; which is which only the XML in its header tells.
 """
 
 from __future__ import annotations
 
-import shutil
 import struct
-import tempfile
-from pathlib import Path
+from collections.abc import Iterator
+from typing import Any
+from xml.etree import ElementTree
 
-from .eventcv_source import EventcvFile, EventcvSource
-from .source import Source, explained
+import numpy as np
 
-MAGIC = b"#!AER-DAT4.0\r\n"
-SUFFIX = ".aedat4"
-ADDRESSES = 1 << 15, 1 << 15
-TABLE_POSITION_SLOT = 6  # of dataTablePosition in the vtable of the IOHeader, a FlatBuffer
+from ..errors import RecordingError
+from .declared import DeclaredSensor, DeclaredUnit
+from .extras import required
+from .faults import Faults
+from .options import Asked
+from .source import RawChunks, RawColumns, Source, choose_stream, explained
+
+MAGIC_BYTES = 14  # "#!AER-DAT4.0\r\n"
+MAX_HEADER_BYTES = 1 << 20
+CUT_SHORT = "failed to fill whole buffer"  # what aedat says of a packet that ends with the file
 
 
-def open_aedat4(path: str) -> Source:
-    """Open an AEDAT4 file."""
-    file = EventcvFile(path, SUFFIX, "AEDAT4", ADDRESSES)
-    try:
+class Aedat4Source(Source):
+    """One event stream of an AEDAT4 file."""
+
+    def __init__(self, path: str, asked: Asked) -> None:
+        self._aedat = required("aedat", path, "AEDAT4")
         with explained(path, "AEDAT4 file"):
-            if file.reader(1).n_events == 0:
-                file.close()
-                file = _FileWithoutTable(path)
-            sensor = file.sensor()
-        return EventcvSource(file, path, "AEDAT4", sensor)
-    except BaseException:
-        file.close()
-        raise
+            decoder = self._aedat.Decoder(path)
+            streams: dict[int, Any] = decoder.id_to_stream()
+            names = _names(path, [number for number, stream in streams.items() if stream["type"] == "events"])
+        if not names:
+            has = ", ".join(sorted({stream["type"] for stream in streams.values()})) or "nothing"
+            raise RecordingError(f"{path}: no event stream in this file (it has: {has}); record events too")
+        stream = choose_stream(list(names), asked.stream, path, "stream")
+        self._id = names[stream]
+        size = streams[self._id]["width"], streams[self._id]["height"]
+        super().__init__(
+            path,
+            "AEDAT4",
+            sensor=DeclaredSensor(size),
+            unit=DeclaredUnit("us", "the format is in us"),
+            stream=stream,
+            streams=list(names),
+        )
+
+    def raw_chunks(self, chunk_events: int, faults: Faults) -> RawChunks:
+        """Join packets until there are ``chunk_events``."""
+        parts: list[Any] = []
+        held = 0
+        for events in self._packets(faults):
+            parts.append(events)
+            held += len(events)
+            while held >= chunk_events:
+                joined = np.concatenate(parts)
+                yield _columns(joined[:chunk_events])
+                parts, held = [joined[chunk_events:]], held - chunk_events
+        if held:
+            yield _columns(np.concatenate(parts))
+
+    def _packets(self, faults: Faults) -> Iterator[Any]:
+        with explained(self.name, "AEDAT4 file"):
+            packets = iter(self._aedat.Decoder(self.name))
+            while True:
+                try:
+                    packet = next(packets, None)
+                except RuntimeError as error:
+                    if CUT_SHORT not in str(error):
+                        raise
+                    faults.cut("its last packet is not whole")
+                    return
+                if packet is None:
+                    return
+                if packet["stream_id"] == self._id and "events" in packet:
+                    yield packet["events"]
 
 
-class _FileWithoutTable(EventcvFile):
-    """A copy without the table of packets at the end.
-
-    Some versions of DV wrote tables that count no events, and eventcv believes them.  Without a table it
-    counts the events itself.
-    """
-
-    def __init__(self, path: str) -> None:
-        folder = tempfile.TemporaryDirectory(prefix="evqr-")
-        copy = Path(folder.name) / f"recording{SUFFIX}"
-        try:
-            shutil.copyfile(path, copy)
-            with open(copy, "r+b") as file:
-                file.truncate(_table_position(file.read(1 << 16), copy.stat().st_size))
-            super().__init__(str(copy), SUFFIX, "AEDAT4", ADDRESSES)
-        except BaseException:
-            folder.cleanup()
-            raise
-        self._folder = folder
+def _columns(events: Any) -> RawColumns:
+    return RawColumns(events["t"].astype(np.int64), events["x"], events["y"], events["on"])
 
 
-def _table_position(head: bytes, size: int) -> int:
-    """Where the table of packets starts, by the IOHeader; ``size`` if there is none."""
-    base = len(MAGIC) + 4  # after the length of the IOHeader
-    table = base + struct.unpack_from("<I", head, base)[0]
-    vtable = table - struct.unpack_from("<i", head, table)[0]
-    (field,) = struct.unpack_from("<H", head, vtable + TABLE_POSITION_SLOT)
-    position = struct.unpack_from("<q", head, table + field)[0] if field else -1
-    return position if 0 < position < size else size
+def _names(path: str, ids: list[int]) -> dict[str, int]:
+    """Name event streams by their outputs; where these are alike by camera and output, or else by number."""
+    outputs: dict[int, tuple[str, str]] = {}
+    with open(path, "rb") as file:
+        head = file.read(MAX_HEADER_BYTES)
+    (length,) = struct.unpack_from("<I", head, MAGIC_BYTES)
+    head = head[: MAGIC_BYTES + 4 + length]
+    start, end = head.find(b"<dv"), head.rfind(b"</dv>")
+    if 0 <= start < end:
+        for node in ElementTree.fromstring(head[start : end + 5]).iterfind("./node[@name='outInfo']/node"):
+            output = node.findtext("./attr[@key='originalOutputName']") or ""
+            source = node.findtext("./node[@name='info']/attr[@key='source']") or ""
+            if str(node.get("name")).isdecimal():
+                outputs[int(str(node.get("name")))] = source, output
+    names = [outputs.get(number, ("", ""))[1] for number in sorted(ids)]
+    if len(set(names)) < len(names) or not all(names):
+        names = ["/".join(outputs.get(number, ("", ""))) for number in sorted(ids)]
+    if len(set(names)) < len(names):
+        names = [str(number) for number in sorted(ids)]
+    return dict(zip(names, sorted(ids), strict=True))

@@ -1,166 +1,170 @@
-"""HDF5: ``events/{t,x,y,p}`` (ours, DSEC), ``CD/events`` (Prophesee), ``raw_events/...``, flat, nested."""
+"""HDF5 files, read a slice at a time with h5py; where the events are in them is found by `hdf5_layout`."""
 
 from __future__ import annotations
 
-from collections.abc import Mapping
-from dataclasses import dataclass
+from collections.abc import Iterator
+from pathlib import Path
 from typing import Any
 
 import h5py
 import numpy as np
 
 from ..errors import MissingExtra, RecordingError
-from .columns import find_columns, require_columns, require_equal_lengths
-from .source import DeclaredUnit, RawChunks, RawColumns, Source, TimeUnit, explained
+from .columns import require_equal_lengths, unit_in_name
+from .declared import DeclaredSensor, DeclaredUnit, Unclear, find_sensor, find_unit, first_of, plain, whole
+from .faults import Faults
+from .hdf5_layout import Column, Layout, find_layout, length_of, name_of, read_block
+from .options import Asked
+from .source import RawChunks, RawColumns, Source, explained
 
-ECF_FILTER = 0x8ECF  # Prophesee's own compression; no free Python package decodes it
+ECF_FILTER = 0x8ECF  # Prophesee's own compression
 MAX_CHUNK_BYTES = 1 << 28  # a larger one is damage: it could not be read in bounded memory
-
-# Where an event recording is looked for first; only then anywhere else in the file.
-USUAL_PLACES = ("events", "CD/events", "raw_events", "/")
-
-UNIT_NAMES: dict[str, TimeUnit] = {
-    **dict.fromkeys(("s", "sec", "second", "seconds"), "s"),
-    **dict.fromkeys(("ms", "msec", "millisecond", "milliseconds"), "ms"),
-    **dict.fromkeys(("us", "usec", "microsecond", "microseconds", "µs"), "us"),
-    **dict.fromkeys(("ns", "nsec", "nanosecond", "nanoseconds"), "ns"),
-}
-
-
-@dataclass(frozen=True)
-class _Layout:
-    """The four columns: a dataset each, or a field each of one compound dataset."""
-
-    words: str
-    place: str
-    columns: Mapping[str, tuple[h5py.Dataset, str | None]]
-
-    @property
-    def datasets(self) -> list[h5py.Dataset]:
-        return list({_name(dataset): dataset for dataset, _ in self.columns.values()}.values())
+MAX_SAID_VALUES = 4  # of a data set that may tell the sensor's size
 
 
 class Hdf5Source(Source):
-    """An HDF5 file, read a slice at a time."""
+    """One event stream of an HDF5 file."""
 
-    def __init__(self, path: str) -> None:
-        with explained(path, "HDF5 file"):
-            self._file = h5py.File(path, "r")
+    def __init__(self, path: str, asked: Asked) -> None:
+        self._file, notes = _open(path)
         try:
             with explained(path, "HDF5 file"):
-                self._layout = _find_layout(self._file, path)
-                for dataset in self._layout.datasets:
-                    _check_readable(dataset, path)
-                self._length = require_equal_lengths(
-                    {column: dataset.shape[0] for column, (dataset, _) in self._layout.columns.items()}, path
+                self._layout, streams = find_layout(self._file, path, asked)
+                columns = self._layout.columns
+                for column in columns.values():
+                    _check_readable(column, path)
+                declared = require_equal_lengths(
+                    {c: length_of(column) for c, column in columns.items()}, path
                 )
+                self._length, self._cut = _stored(self._layout, declared, path, asked.strict)
+                offset, told = _offset(self._file, self._layout)
                 super().__init__(
                     path,
                     f"HDF5 {self._layout.words}",
-                    sensor=_sensor(self._file, self._layout, path),
+                    sensor=_sensor(self._file, self._layout),
                     n_events=self._length,
-                    unit=_unit(self._file, self._layout, path),
-                    t_offset_us=_dsec_offset(self._file),
+                    unit=_unit(self._file, self._layout),
+                    t_offset_us=offset,
+                    stream=self._layout.place,
+                    streams=streams,
+                    notes=[note for note in (*notes, self._layout.note, told) if note],
                 )
         except BaseException:
             self._file.close()
             raise
 
-    def raw_chunks(self, chunk_events: int) -> RawChunks:
-        """Read slices of the datasets."""
+    def raw_chunks(self, chunk_events: int, faults: Faults) -> RawChunks:
+        """Read slices of the data sets."""
         for first in range(0, self._length, chunk_events):
-            yield self._read(first, first + chunk_events)
+            yield self._read(first, min(first + chunk_events, self._length))
+        if self._cut:
+            faults.cut(self._cut)
 
     def raw_tail(self, count: int) -> RawColumns:
         """Read the last slice."""
         return self._read(max(0, self._length - count), self._length)
 
     def _read(self, first: int, last: int) -> RawColumns:
+        layout = self._layout
         with explained(self.name, "HDF5 file"):
-            # A compound dataset holds all columns and is read once.
-            slices = {_name(dataset): dataset[first:last] for dataset in self._layout.datasets}
-            columns = (self._layout.columns[column] for column in "txyp")
-            return RawColumns(
-                *(slices[_name(dataset)][... if field is None else field] for dataset, field in columns)
-            )
+            # A data set that holds several columns is read once.
+            blocks = {name_of(d): read_block(d, layout.along(d), first, last) for d in layout.datasets}
+            columns = (layout.columns[column] for column in "txyp")
+            return RawColumns(*(column.of(blocks[name_of(column.dataset)]) for column in columns))
 
     def close(self) -> None:
         """Close the file."""
         self._file.close()
 
 
-def _find_layout(file: h5py.File, path: str) -> _Layout:
-    for place in USUAL_PLACES:
-        if place in file and (layout := _layout_at(file[place], place)):
-            return layout
-    nested: list[_Layout] = []
+def _open(path: str) -> tuple[h5py.File, list[str]]:
+    """Open a file, also one that is being written in the way that lets others read (SWMR)."""
+    with explained(path, "HDF5 file"):
+        try:
+            return h5py.File(path, "r"), []
+        except OSError as error:
+            if "SWMR" not in str(error):
+                raise
+            try:
+                file = h5py.File(path, "r", swmr=True)
+            except OSError:
+                raise error from None
+            return file, ["the file is marked as being written (SWMR); what is in it now is read"]
 
-    def visit(name: str, thing: Any) -> None:
-        if layout := _layout_at(thing, name):
-            nested.append(layout)
 
-    file.visititems(visit)
-    if len(nested) == 1:
-        return nested[0]
-    if nested:
-        places = ", ".join(layout.place for layout in nested)
+def _check_readable(column: Column, path: str) -> None:
+    """Refuse what would fail, or fill up memory, when read."""
+    dataset, name = column.dataset, name_of(column.dataset)
+    flat = dataset.ndim == 1 or (dataset.ndim == 2 and 1 in dataset.shape)
+    kind = dataset.dtype if column.field is None else dataset.dtype[column.field]
+    if not (flat or column.index is not None) or kind.hasobject or kind.base.kind not in "biuf":
         raise RecordingError(
-            f"{path}: holds several recordings ({places}); export the one to read into its own file"
-        )
-    events = file.get("events")
-    group = events if isinstance(events, h5py.Group) else file
-    require_columns(list(group), path, f"HDF5 group {group.name}")
-    raise RecordingError(
-        f"{path}: no event columns in this HDF5 file; it needs events/t, events/x, events/y, events/p"
-    )
-
-
-def _layout_at(thing: Any, place: str) -> _Layout | None:
-    """Return the layout, if ``thing`` is a group or compound dataset with all four columns."""
-    if isinstance(thing, h5py.Dataset):
-        found = find_columns(thing.dtype.names or ())
-        columns = {column: (thing, field) for column, field in found.items()}
-        words = f"{place} compound"
-    elif isinstance(thing, h5py.Group):
-        datasets = {
-            name: child for name in map(str, thing) if isinstance(child := thing.get(name), h5py.Dataset)
-        }
-        found = find_columns(datasets)
-        columns = {column: (datasets[name], None) for column, name in found.items()}
-        prefix = "" if place == "/" else f"{place}/"
-        words = f"{prefix}{{{','.join(found.values())}}}"
-    else:
-        return None
-    return _Layout(words, place, columns) if len(columns) == 4 else None
-
-
-def _check_readable(dataset: h5py.Dataset, path: str) -> None:
-    """Refuse what would fail, or fill up memory, or silently give zeros when read."""
-    name = _name(dataset)
-    if dataset.ndim != 1 or dataset.dtype.hasobject:
-        raise RecordingError(
-            f"{path}: {name} must be one-dimensional numbers, got {dataset.dtype} of shape {dataset.shape};"
+            f"{path}: {name} must be one-dimensional numbers, got {kind} of shape {dataset.shape};"
             " export the recording again"
         )
     creation = dataset.id.get_create_plist()
     for i in range(creation.get_nfilters()):
         _require_filter(creation.get_filter(i)[0], name, path)
-
-    stored, length = dataset.id.get_storage_size(), dataset.shape[0]
-    if dataset.chunks:
-        if dataset.chunks[0] * dataset.dtype.itemsize > MAX_CHUNK_BYTES:
-            raise RecordingError(
-                f"{path}: {name} has chunks of {dataset.chunks[0]:,} events, too large to stream;"
-                " repack it with h5repack"
-            )
-        # HDF5 gives zeros for chunks that were never written: that is an interrupted recording.
-        complete = dataset.id.get_num_chunks() * dataset.chunks[0] >= length
-    else:
-        complete = stored >= length * dataset.dtype.itemsize
-    if not complete:
+    if dataset.chunks and int(np.prod(dataset.chunks)) * dataset.dtype.itemsize > MAX_CHUNK_BYTES:
         raise RecordingError(
-            f"{path}: {name} is truncated: {length:,} events declared, {stored:,} bytes stored; copy it again"
+            f"{path}: {name} has chunks of {dataset.chunks[column.along]:,} events, too large to stream;"
+            " repack it with h5repack"
         )
+    if dataset.is_virtual:
+        _require_parts(dataset, path)
+
+
+def _require_parts(dataset: h5py.Dataset, path: str) -> None:
+    """Refuse a virtual data set whose files are not there: HDF5 would give zeros for them."""
+    folder = Path(path).resolve().parent
+    names = {source.file_name for source in dataset.virtual_sources()} - {"."}
+    missing = sorted(n for n in names if "%" not in n and not (folder / n).exists() and not Path(n).exists())
+    if missing:
+        raise RecordingError(
+            f"{path}: {name_of(dataset)} is put together from other files, and {', '.join(missing)}"
+            " is not there; put it beside this file"
+        )
+
+
+def _stored(layout: Layout, declared: int, path: str, strict: bool) -> tuple[int, str]:
+    """How many events are stored, and what is missing or "".
+
+    HDF5 gives zeros for what was never written: that is an interrupted recording.
+    """
+    stored = [(_written(d, layout.along(d), declared), d) for d in layout.datasets]
+    shortest, _ = min(stored, key=lambda pair: pair[0])
+    if shortest == declared:
+        return declared, ""
+    first = next(dataset for count, dataset in stored if count < declared)
+    if strict or shortest == 0:
+        size = first.id.get_storage_size()
+        raise RecordingError(
+            f"{path}: {name_of(first)} is truncated: {declared:,} events declared, {size:,} bytes stored;"
+            " copy it again"
+        )
+    return shortest, f"{name_of(first)} declares {declared:,} events, and {shortest:,} are stored"
+
+
+def _written(dataset: h5py.Dataset, along: int, declared: int) -> int:
+    """How many events from the first on have storage."""
+    if dataset.is_virtual or declared == 0 or dataset.id.get_create_plist().get_layout() == h5py.h5d.COMPACT:
+        return declared
+    if not dataset.chunks:
+        return declared if dataset.id.get_storage_size() >= dataset.size * dataset.dtype.itemsize else 0
+    step, across = dataset.chunks[along], 1
+    if dataset.ndim == 2:
+        across = -(-dataset.shape[1 - along] // dataset.chunks[1 - along])
+    count = dataset.id.get_num_chunks()
+    if count * step >= declared * across:
+        return declared
+    starts: dict[int, int] = {}
+    for i in range(count):
+        start = dataset.id.get_chunk_info(i).chunk_offset[along]
+        starts[start] = starts.get(start, 0) + 1
+    done = 0
+    while starts.get(done) == across:
+        done += step
+    return min(done, declared)
 
 
 def _require_filter(number: int, dataset: str, path: str) -> None:
@@ -183,68 +187,68 @@ def _require_filter(number: int, dataset: str, path: str) -> None:
         )
 
 
-def _attributes(file: h5py.File, layout: _Layout) -> dict[str, Any]:
-    """Attributes of the root, of the group and of the columns' place, and scalar datasets beside them."""
+def _places(file: h5py.File, layout: Layout) -> Iterator[Any]:
+    """Where something may be said of a stream: its place, and the groups around it up to the root."""
     place = file[layout.place]
-    group = place if isinstance(place, h5py.Group) else place.parent
-    found: dict[str, Any] = {}
-    for thing in (file, group, place):
-        found |= dict(thing.attrs)
-        if isinstance(thing, h5py.Group):
-            scalars = {key: _scalar(thing, key) for key in ("width", "height")}
-            found |= {key: value for key, value in scalars.items() if value is not None}
-    return found
+    yield place
+    while place.name != "/":
+        place = place.parent
+        yield place
 
 
-def _scalar(group: h5py.Group, key: str) -> Any:
-    """Value of a scalar dataset, or None."""
-    thing = group.get(key)
-    return thing[()] if isinstance(thing, h5py.Dataset) and thing.shape == () else None
+def _said(thing: Any) -> dict[str, Any]:
+    """Attributes, and small data sets in a group and the groups in it."""
+    said = dict(thing.attrs)
+    if isinstance(thing, h5py.Group):
+        for name in map(str, thing):
+            child = thing.get(name)
+            if isinstance(child, h5py.Dataset):
+                said |= _small(name, child)
+            elif isinstance(child, h5py.Group):  # such as M3ED's calib/resolution
+                for below in map(str, child):
+                    if isinstance(inner := child.get(below), h5py.Dataset):
+                        said = _small(below, inner) | said
+    return said
 
 
-def _sensor(file: h5py.File, layout: _Layout, path: str) -> tuple[int, int] | None:
-    attributes = _attributes(file, layout)
-    if "width" in attributes and "height" in attributes:
-        pair = attributes["width"], attributes["height"]
-    elif "geometry" in attributes:  # Prophesee: "1280x720"
-        pair = tuple(_text(attributes["geometry"]).lower().split("x"))
-    else:
-        return None
-    try:
-        width, height = (int(np.asarray(side).item()) for side in pair)
-    except (TypeError, ValueError) as error:
-        raise RecordingError(
-            f"{path}: sensor size {pair!r} is no pair of whole numbers; pass --sensor WxH"
-        ) from error
-    return width, height
+def _small(name: str, dataset: h5py.Dataset) -> dict[str, Any]:
+    return (
+        {name: dataset[()]} if dataset.shape is not None and int(dataset.size or 0) <= MAX_SAID_VALUES else {}
+    )
 
 
-def _unit(file: h5py.File, layout: _Layout, path: str) -> DeclaredUnit | None:
-    times, field = layout.columns["t"]
-    for key in ("unit", "units", "time_unit"):
-        if field is None and key in times.attrs:
-            text = _text(times.attrs[key])
-            if text.lower() not in UNIT_NAMES:
-                raise RecordingError(
-                    f"{path}: attribute {key} of {_name(times)} is {text!r}, no known unit;"
-                    " pass --time-unit us|ms|s|ns"
-                )
-            return DeclaredUnit(UNIT_NAMES[text.lower()], f"attribute {key} of {_name(times)} says {text}")
+def _sensor(file: h5py.File, layout: Layout) -> DeclaredSensor | Unclear | None:
+    return first_of(find_sensor(_said(thing)) for thing in _places(file, layout))
+
+
+def _unit(file: h5py.File, layout: Layout) -> DeclaredUnit | Unclear | None:
+    times = layout.columns["t"]
+    name = name_of(times.dataset)
+    said = find_unit(dict(times.dataset.attrs), name) if times.field is None and times.index is None else None
+    if said is not None:
+        return said
+    column = times.field or name.rsplit("/", 1)[-1]
+    if times.index is None and (unit := unit_in_name(column)):
+        return DeclaredUnit(unit, f"column {column!r} says so")
     if "ms_to_idx" in file or "t_offset" in file:
         return DeclaredUnit("us", "DSEC layout (ms_to_idx, t_offset) is in us")
     if layout.place == "CD/events":
         return DeclaredUnit("us", "Prophesee CD/events is in us")
-    return None
+    around = (find_unit(dict(thing.attrs), thing.name or "/") for thing in _places(file, layout))
+    return next((unit for unit in around if isinstance(unit, DeclaredUnit)), None)
 
 
-def _dsec_offset(file: h5py.File) -> int:
-    offset = _scalar(file, "t_offset")
-    return 0 if offset is None else int(offset)
-
-
-def _name(dataset: h5py.Dataset) -> str:
-    return dataset.name or "unnamed dataset"
-
-
-def _text(value: Any) -> str:
-    return value.decode("utf-8", "replace") if isinstance(value, bytes) else str(value)
+def _offset(file: h5py.File, layout: Layout) -> tuple[int, str]:
+    """Return what is to be added to the times [us], as DSEC stores it, and a note where that is not clear."""
+    for thing in _places(file, layout):
+        offset = thing.get("t_offset") if isinstance(thing, h5py.Group) else None
+        if isinstance(offset, h5py.Dataset):
+            value = plain(offset[()]) if offset.size == 1 else None
+            number = whole(value)
+            if number is None:
+                return (
+                    0,
+                    f"t_offset of shape {offset.shape} is no whole number of microseconds, and is not added",
+                )
+            return number, ""
+    return 0, ""

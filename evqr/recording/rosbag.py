@@ -1,125 +1,165 @@
-"""ROS 1 bags with event_camera_msgs/EventPacket (EVT3) or dvs_msgs/EventArray messages.
+"""ROS bags, versions 1 and 2 (sqlite3 and MCAP), with one topic of events read.
 
-The bag is taken apart by the package rosbags, EVT3 packets by evt3 (extra ``formats``).
+A bag is taken apart by the package rosbags, EVT3 packets by evt3 (extra ``formats``).  Messages are known by
+their layout, not by the name of their type alone, and belong together by topic: a node that was restarted
+opens a connection of its own.
 """
 
 from __future__ import annotations
 
-import struct
+import re
 from collections.abc import Iterator
+from contextlib import closing, contextmanager
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from ..errors import RecordingError
+from .declared import DeclaredSensor, DeclaredUnit
 from .extras import required
-from .source import DeclaredUnit, RawChunks, RawColumns, Source, explained
+from .faults import Faults
+from .options import Asked
+from .prophesee_words import EVT2, EVT4, EVT21, WordDecoder
+from .ros_messages import ARRAY, PACKET, Message, array_columns, mono_columns, parse
+from .source import RawChunks, RawColumns, Source, choose_stream, explained
 
-PACKET_TYPE = "event_camera_msgs/msg/EventPacket"
-ARRAY_TYPE = "dvs_msgs/msg/EventArray"
+# What drivers call these messages (package and type), and the fields of such a message without their names.
+TYPES = {
+    "event_camera_msgs/EventPacket": PACKET,
+    "event_array_msgs/EventArray": PACKET,
+    "dvs_msgs/EventArray": ARRAY,
+    "prophesee_event_msgs/EventArray": ARRAY,
+}
+FIELDS = {
+    ("Header", "uint32", "uint32", "uint64", "uint64", "string", "bool", "uint8[]"): PACKET,
+    ("Header", "uint32", "uint32", "Event[]"): ARRAY,
+}
 
-ARRAY_EVENT = np.dtype([("x", "<u2"), ("y", "<u2"), ("s", "<u4"), ("ns", "<u4"), ("p", "u1")])
-
-
-class _Message(NamedTuple):
-    """What both message types share, taken from their ROS 1 serialisation."""
-
-    width: int
-    height: int
-    encoding: str  # "" for an EventArray
-    data: bytes
+WORDS = {"evt2": EVT2, "evt21": EVT21, "evt4": EVT4}
+ENCODINGS = ("evt3", *WORDS, "mono")
 
 
 class BagSource(Source):
-    """All messages of the one event topic of a bag, in the order of the bag."""
+    """All messages of one topic of a bag, in the order of the bag."""
 
-    def __init__(self, path: str) -> None:
-        self._rosbag1 = required("rosbags.rosbag1", path, "ROS bag")
-        with explained(path, "ROS bag"), self._rosbag1.Reader(Path(path)) as bag:
-            topics = [c for c in bag.connections if c.msgtype in (PACKET_TYPE, ARRAY_TYPE)]
-            if len(topics) != 1:
-                told = ", ".join(f"{c.topic} ({c.msgtype})" for c in topics or bag.connections) or "nothing"
-                need = "one to read; filter the bag" if topics else "EventPacket or EventArray messages"
-                raise RecordingError(f"{path}: bag has {told}; needs {need}")
-            self._packets = topics[0].msgtype == PACKET_TYPE
-            first = next(self._messages(bag), None)
+    def __init__(self, path: str, asked: Asked) -> None:
+        self._rosbags = required("rosbags.rosbag1", path, "ROS bag")
+        with explained(path, "ROS bag"), _opened(path) as (bag, self._ros2):
+            layouts = {c.topic: layout for c in bag.connections if (layout := _layout(c))}
+            if not layouts:
+                has = ", ".join(sorted({f"{c.topic} ({c.msgtype})" for c in bag.connections})) or "nothing"
+                raise RecordingError(
+                    f"{path}: no event stream in this bag (it has: {has}); needs messages of type EventPacket"
+                    " or EventArray"
+                )
+            topics = sorted(layouts)
+            self._topic = choose_stream(topics, asked.stream, path, "topic")
+            self._layout = layouts[self._topic]
+            kind = next(c.msgtype for c in bag.connections if c.topic == self._topic)
+            first = next((message for _, message in self._messages(bag)), None)
         if first is None:
-            raise RecordingError(f"{path}: the recording is empty: no message on {topics[0].topic}")
-        if self._packets and first.encoding != "evt3":
+            raise RecordingError(f"{path}: the recording is empty: no message on {self._topic}")
+        if self._layout == PACKET and first.encoding not in ENCODINGS:
             raise RecordingError(
-                f"{path}: packets are encoded as {first.encoding!r}; only evt3 is read, convert the bag"
+                f"{path}: packets are encoded as {first.encoding!r}; {', '.join(ENCODINGS)} are read,"
+                " convert the bag"
             )
-        if self._packets:
+        if first.encoding == "evt3":
             self._evt3 = required("evt3", path, "ROS bag with EVT3 packets")
+        in_ns = self._layout == ARRAY or first.encoding == "mono"
         super().__init__(
             path,
-            f"ROS bag {topics[0].msgtype.replace('/msg/', '/')} on {topics[0].topic}",
-            sensor=(first.width, first.height),
-            unit=DeclaredUnit("us", "EVT3 is in us")
-            if self._packets
-            else DeclaredUnit("ns", "ROS time is in ns"),
+            f"ROS {'2 ' * self._ros2}bag {kind.replace('/msg/', '/')} on {self._topic}",
+            sensor=DeclaredSensor((first.width, first.height)),
+            unit=DeclaredUnit("ns", "ROS time is in ns")
+            if in_ns
+            else DeclaredUnit("us", f"{first.encoding.upper()} is in us"),
+            stream=self._topic,
+            streams=topics,
         )
 
-    def _messages(self, bag: Any) -> Iterator[_Message]:
-        for connection, _, raw in bag.messages():
-            if connection.msgtype in (PACKET_TYPE, ARRAY_TYPE):
-                yield _parse_packet(raw) if self._packets else _parse_array(raw)
+    def _messages(self, bag: Any) -> Iterator[tuple[int, Message]]:
+        """Give each message of the topic, with the number of its connection."""
+        connections = [c for c in bag.connections if c.topic == self._topic and _layout(c) == self._layout]
+        for connection, _, raw in bag.messages(connections):
+            yield connection.id, parse(bytes(raw), self._layout, ros2=self._ros2)
 
-    def raw_chunks(self, chunk_events: int) -> RawChunks:
+    def raw_chunks(self, chunk_events: int, faults: Faults) -> RawChunks:
         """Join messages until there are ``chunk_events``."""
-        decoder = self._evt3.Decoder() if self._packets else None
+        decoders: dict[int, Any] = {}
         parts: list[RawColumns] = []
-        with explained(self.name, "ROS bag"), self._rosbag1.Reader(Path(self.name)) as bag:
-            for message in self._messages(bag):
-                if decoder is None:
-                    parts.append(_array_columns(np.frombuffer(message.data, ARRAY_EVENT)))
-                else:
-                    events = decoder.feed(message.data)
-                    parts.append(RawColumns(events.timestamp, events.x, events.y, events.polarity))
+        with explained(self.name, "ROS bag"), _opened(self.name) as (bag, _):
+            for connection, message in self._messages(bag):
+                parts.append(self._columns(message, connection, decoders, faults))
                 if sum(len(part.t) for part in parts) >= chunk_events:
                     yield _joined(parts)
                     parts = []
         if parts:
             yield _joined(parts)
 
+    def _columns(
+        self, message: Message, connection: int, decoders: dict[int, Any], faults: Faults
+    ) -> RawColumns:
+        if self._layout == ARRAY:
+            return array_columns(message)
+        if message.encoding == "mono":
+            return mono_columns(message)
+        # A node that was restarted sends from a clock of its own.
+        decoder = decoders.get(connection)
+        if decoder is None:
+            words = WORDS.get(message.encoding)
+            decoder = self._evt3.Decoder() if words is None else WordDecoder(words, faults)
+            decoders[connection] = decoder
+        events = decoder.feed(message.data)
+        return (
+            events
+            if isinstance(events, RawColumns)
+            else RawColumns(events.timestamp, events.x, events.y, events.polarity)
+        )
+
+
+@contextmanager
+def _opened(path: str) -> Iterator[tuple[Any, bool]]:
+    """Open a bag of either version; it has ``connections`` and ``messages``."""
+    place = Path(path)
+    if place.is_dir():
+        from rosbags.rosbag2 import Reader
+
+        with Reader(place) as bag:
+            yield bag, True
+        return
+    with open(path, "rb") as file:
+        head = file.read(16)
+    if head.startswith(b"#ROSBAG"):
+        from rosbags.rosbag1 import Reader as Reader1
+
+        with Reader1(place) as bag:
+            yield bag, False
+        return
+    if head.startswith(b"SQLite"):
+        from rosbags.rosbag2.storage_sqlite3 import Sqlite3Reader as Storage
+    else:
+        from rosbags.rosbag2.storage_mcap import McapReader as Storage
+    storage = Storage(place)
+    storage.open()
+    with closing(storage):
+        yield storage, True
+
+
+def _layout(connection: Any) -> str | None:
+    """Layout of a connection's messages, by the name of the type or else by its definition."""
+    package, _, rest = connection.msgtype.partition("/")
+    named = TYPES.get(f"{package}/{rest.rsplit('/', 1)[-1]}")
+    return named or FIELDS.get(_fields(connection.msgdef.data))
+
+
+def _fields(definition: str) -> tuple[str, ...]:
+    """Types of the fields of a message, without packages."""
+    top = definition.split("\n===")[0]
+    lines = (re.sub(r"#.*", "", line).split() for line in top.splitlines())
+    return tuple(line[0].rsplit("/", 1)[-1] for line in lines if len(line) == 2 and "=" not in line[1])
+
 
 def _joined(parts: list[RawColumns]) -> RawColumns:
     return RawColumns(*(np.concatenate(column) for column in zip(*parts, strict=True)))
-
-
-def _array_columns(events: NDArray[Any]) -> RawColumns:
-    t_ns = events["s"].astype(np.int64) * 1_000_000_000 + events["ns"]
-    return RawColumns(t_ns, events["x"], events["y"], events["p"])
-
-
-def _after_header(raw: bytes) -> int:
-    """Offset after std_msgs/Header: seq, stamp, and a frame_id of any length."""
-    return 16 + struct.unpack_from("<I", raw, 12)[0]
-
-
-def _parse_packet(raw: bytes) -> _Message:
-    """Take apart an EventPacket: height, width, seq, time_base, encoding, is_bigendian, events."""
-    at = _after_header(raw)
-    height, width, _, _, length = struct.unpack_from("<IIQQI", raw, at)
-    at += struct.calcsize("<IIQQI")
-    encoding = raw[at : at + length].decode("ascii")
-    at += length + 1
-    return _Message(width, height, encoding, _counted(raw, at, 1))
-
-
-def _parse_array(raw: bytes) -> _Message:
-    """Take apart an EventArray: height, width, events."""
-    at = _after_header(raw)
-    height, width = struct.unpack_from("<II", raw, at)
-    return _Message(width, height, "", _counted(raw, at + 8, ARRAY_EVENT.itemsize))
-
-
-def _counted(raw: bytes, at: int, item_bytes: int) -> bytes:
-    """Return the bytes of a counted array that ends the message."""
-    (count,) = struct.unpack_from("<I", raw, at)
-    data = bytes(raw[at + 4 :])
-    if len(data) != count * item_bytes:
-        raise ValueError(f"a message declares {count} items and holds {len(data) / item_bytes:g}")
-    return data

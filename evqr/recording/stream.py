@@ -11,10 +11,13 @@ import numpy as np
 from evqr.events.array import EventArray
 
 from ..errors import RecordingError
-from .columns import ColumnChecker, check_sensor, check_times
-from .ordering import Disorder, in_order
-from .source import DeclaredUnit, RawColumns, Source, TimeUnit
-from .time_unit import PER_SECOND, decide_time_unit
+from .columns import ColumnChecker, settle_sensor, usable_times
+from .declared import PER_SECOND, DeclaredUnit, TimeUnit, Unclear
+from .faults import EventCounts, Faults
+from .options import Asked
+from .ordering import EventIntake
+from .source import RawColumns, Source
+from .time_unit import decide_time_unit
 
 SAMPLE_EVENTS = 1 << 16  # the unit of time is judged by so many first events
 
@@ -24,75 +27,118 @@ class Recording:
 
     Attributes
     ----------
-    path : str                        "" for arrays
-    format : str                      in words, such as "HDF5 events/{t,x,y,p}"
-    width, height : int [px]          sensor size
-    n_events : int | None             None until known
-    t_first_us, t_last_us : int|None  first and last time stamp [us]; None until streamed, but the last is
-                                      known at once where the source can look at its end
-    time_unit, time_unit_reason : str unit of the stored stamps, and how it is known
-    warnings : list[str]              what was odd; grows while streaming
+    path : str
+        "" for arrays.
+    format : str
+        In words, such as "HDF5 events/{t,x,y,p}".
+    stream : str
+        Name of the event stream that is read, "" where the format has but one.
+    streams : tuple of str
+        Names of all event streams in the file.
+    width, height : int [px]
+        Sensor size.
+    n_events : int | None
+        Events that are given; None until known.
+    t_first_us, t_last_us : int | None [us]
+        First and last time stamp; None until streamed, but the last is known at once where the source can
+        look at its end.
+    time_unit, time_unit_reason : str
+        Unit of the stored stamps, and how it is known.
+    notes : tuple of str
+        What was odd, and what was decided, each in one line; grows while streaming.
+    counts : EventCounts
+        Events left out and sorted, and clocks, by the last way through.
     """
 
-    def __init__(
-        self,
-        source: Source,
-        *,
-        path: str,
-        sensor: tuple[int, int] | None,
-        time_unit: TimeUnit | None,
-        chunk_events: int,
-    ) -> None:
+    def __init__(self, source: Source, *, path: str, asked: Asked) -> None:
         self._source = source
-        self._chunk_events = chunk_events
+        self._asked = asked
         self.path = path
         self.format = source.format
+        self.stream, self.streams = source.stream, source.streams
         self.n_events = source.n_events
         self.t_first_us: int | None = None
         self.t_last_us: int | None = None
-        self.warnings: list[str] = []
+        self._notes = list(source.notes)
+        self._faults = Faults(source.name, strict=asked.strict)
 
-        # The first chunk of a vendor file may hold nothing but trigger words.
-        with closing(source.raw_chunks(SAMPLE_EVENTS)) as raw_chunks:
-            first = next((raw for raw in raw_chunks if len(raw.t)), None)
-        if first is None:
-            raise RecordingError(f"{source.name}: the recording is empty: {source.format} with 0 events")
-        self.width, self.height = check_sensor(sensor or source.sensor, source.name)
-        if sensor is not None and source.sensor not in (None, sensor):
-            told = f"{source.sensor[0]}x{source.sensor[1]}"
-            self.warnings.append(
-                f"the file says the sensor is {told}; {self.width}x{self.height} was asked for"
-            )
-        check_times(first.t, source.name)
-        unit = self._unit(first, time_unit)
+        first = self._first_events()
+        size, told = settle_sensor(asked.sensor, source.sensor, source.name)
+        self.width, self.height = size
+        if told:
+            self._notes.append(told)
+        good = usable_times(first.t, source.name)
+        if asked.strict or np.mean(good) < 0.5:
+            self._check(first, DeclaredUnit(asked.time_unit or "us", ""))  # has a word on what is wrong
+        unit = self._unit(first.t[good])
         self.time_unit: TimeUnit = unit.unit
         self.time_unit_reason = unit.reason
         if first.t.dtype == np.float32:
-            step_us = float(np.spacing(first.t.max())) * 1e6 / PER_SECOND[self.time_unit]
+            step_us = float(np.spacing(first.t[good].max())) * 1e6 / PER_SECOND[self.time_unit]
             if step_us > 1:
-                self.warnings.append(
+                self._notes.append(
                     f"times are stored as float32, which tells no less than {step_us:.2g} us apart"
                 )
+        self._look_at_end()
 
-        tail = source.raw_tail(SAMPLE_EVENTS)
-        if tail is not None:
-            checker = self._checker(seen=(self.n_events or 0) - len(tail.t))
-            self.t_last_us = int(checker(tail).t.max())
+    @property
+    def notes(self) -> tuple[str, ...]:
+        """What was odd, and what was decided, each in one line."""
+        return (*self._notes, *self._faults.notes)
 
-    def _checker(self, *, seen: int = 0) -> ColumnChecker:
-        source = self._source
-        sensor = self.width, self.height
-        return ColumnChecker(source.name, sensor, self.time_unit, source.t_offset_us, seen=seen)
+    @property
+    def counts(self) -> EventCounts:
+        """Events left out and sorted, and clocks, by the last way through."""
+        return self._faults.counts
 
-    def _unit(self, first: RawColumns, asked: TimeUnit | None) -> DeclaredUnit:
-        declared = self._source.unit
+    def _first_events(self) -> RawColumns:
+        source, faults = self._source, Faults(self._source.name, strict=self._asked.strict)
+        # The first chunk of a vendor file may hold nothing but trigger words.
+        with closing(source.raw_chunks(SAMPLE_EVENTS, faults)) as raw_chunks:
+            first = next((raw for raw in raw_chunks if len(raw.t)), None)
+        if first is None:
+            faults.judge(finished=True)
+            more = "".join(f"; {note}" for note in faults.notes)
+            raise RecordingError(
+                f"{source.name}: the recording is empty: {source.format} with 0 events{more}"
+            )
+        return first
+
+    def _check(
+        self, raw: RawColumns, unit: DeclaredUnit, *, first: int = 0, whole: bool = False
+    ) -> EventArray:
+        """Check some events apart from the others."""
+        faults = Faults(self._source.name, strict=self._asked.strict)
+        events = self._checker(faults, unit.unit, first=first)(raw)
+        faults.judge(finished=whole)
+        return events
+
+    def _checker(self, faults: Faults, unit: TimeUnit, *, first: int = 0) -> ColumnChecker:
+        size = self.width, self.height
+        return ColumnChecker(self._source.name, size, unit, self._source.t_offset_us, faults, first=first)
+
+    def _look_at_end(self) -> None:
+        tail = self._source.raw_tail(SAMPLE_EVENTS)
+        if tail is None or not len(tail.t):
+            return
+        total = self._source.n_events or 0
+        unit = DeclaredUnit(self.time_unit, "")
+        events = self._check(tail, unit, first=total - len(tail.t), whole=len(tail.t) == total)
+        if len(events):
+            last = int(events.t.max())
+            self.t_last_us = last if self._asked.end_us is None else min(last, self._asked.end_us)
+
+    def _unit(self, t: np.ndarray) -> DeclaredUnit:
+        asked, declared = self._asked.time_unit, self._source.unit
         if asked is not None:
-            if declared is not None and declared.unit != asked:
-                self.warnings.append(f"times are taken as {asked} as asked, though {declared.reason}")
+            if isinstance(declared, Unclear):
+                self._notes.append(f"{declared.said}; {asked} was asked for")
+            elif declared is not None and declared.unit != asked:
+                self._notes.append(f"times are taken as {asked} as asked, though {declared.reason}")
             return DeclaredUnit(asked, "as asked")
-        if declared is not None:
-            return declared
-        return decide_time_unit(first.t, (self.width, self.height), self._source.name)
+        if isinstance(declared, Unclear):
+            raise RecordingError(f"{self._source.name}: {declared.said}; pass --time-unit us|ms|s|ns")
+        return declared or decide_time_unit(t, (self.width, self.height), self._source.name)
 
     def chunks(self) -> Iterator[EventArray]:
         """Yield all events, ascending in time also across chunks, about ``chunk_events`` at a time.
@@ -102,27 +148,38 @@ class Recording:
 
         Raises
         ------
-        RecordingError   at the first event that is wrong
+        RecordingError
+            When more is wrong than may be left out, or at the first event that is wrong if ``strict``.
         """
-        name, checker, disorder = self._source.name, self._checker(), Disorder()
-        last = None
-        with closing(self._source.raw_chunks(self._chunk_events)) as raw_chunks:
-            checked = (checker(raw) for raw in raw_chunks if len(raw.t))
-            for chunk in in_order(checked, self._chunk_events, disorder, name):
-                if last is None:
-                    self.t_first_us = int(chunk.t[0])
-                last = int(chunk.t[-1])
-                yield chunk
-        self.n_events = checker.seen
-        self.t_last_us = last
-        if disorder.late_events:
-            self._warn_once(
-                f"{disorder.late_events:,} events out of order by up to {disorder.worst_us:,} us were sorted"
+        asked, source = self._asked, self._source
+        self._faults = faults = Faults(source.name, strict=asked.strict)
+        checker = self._checker(faults, self.time_unit)
+        intake = EventIntake(
+            checker, faults, asked.chunk_events, start_us=asked.start_us, end_us=asked.end_us
+        )
+        given, last = 0, None
+        for chunk in self._through(intake, faults):
+            if last is None:
+                self.t_first_us = int(chunk.t[0])
+            last = int(chunk.t[-1])
+            given += len(chunk)
+            yield chunk
+        if last is None:
+            bounds = f"from {asked.start_us or 0} us" + (
+                "" if asked.end_us is None else f" to {asked.end_us} us"
             )
+            raise RecordingError(f"{source.name}: no event {bounds}; times are those that evqr info shows")
+        self.n_events = given
+        self.t_last_us = last
 
-    def _warn_once(self, text: str) -> None:
-        if text not in self.warnings:
-            self.warnings.append(text)
+    def _through(self, intake: EventIntake, faults: Faults) -> Iterator[EventArray]:
+        with closing(self._source.raw_chunks(self._asked.chunk_events, faults)) as raw_chunks:
+            for raw in raw_chunks:
+                if len(raw.t):
+                    yield from intake.push(raw)
+                if intake.done:
+                    return
+        yield from intake.finish()
 
     def read(self) -> EventArray:
         """All events at once."""

@@ -81,7 +81,7 @@ def summarise(recording: Recording) -> RecordingInfo:
         peak_rate=tally.peak * 1e6 / PEAK_BIN_US,
         time_unit=recording.time_unit,
         time_unit_reason=recording.time_unit_reason,
-        suspicious=(*recording.warnings, *tally.suspicions()),
+        suspicious=(*recording.notes, *tally.suspicions()),
     )
 
 

@@ -1,120 +1,159 @@
-"""Text, one event a line: ``t x y p`` or any order that a header line names, with spaces, tabs or commas.
+"""Text, an event a line: columns in any order that names, values or the user tell.
 
-A first line of two numbers is the sensor size (as E2VID writes it); lines starting with # or % are comments.
+NumPy parses a block of lines at a time; where it cannot, each line of the block is looked at.  No package
+reads more than one fixed order.
 """
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+import codecs
+import re
+import warnings
 from itertools import islice
-from typing import NamedTuple
+from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
-from ..errors import RecordingError
-from .columns import require_columns
+from .faults import Faults
+from .options import Asked
 from .source import RawChunks, RawColumns, Source, explained
+from .text_head import (
+    NO_EVENT_ADVICE,
+    SAMPLE_LINES,
+    WORDS,
+    Head,
+    is_blank,
+    no_event_text,
+    read_head,
+)
 
-COMMENTS = ("#", "%")
-ORDER = ("t", "x", "y", "p")
-
-
-class _Head(NamedTuple):
-    """What the lines before the first event tell."""
-
-    lines: int
-    sensor: tuple[int, int] | None
-    order: tuple[str, ...]
-    comma: bool
-    whole_times: bool
+ENCODING_BYTES = 1 << 16
+_WORD = re.compile(rf"\b({'|'.join(WORDS)})\b", re.IGNORECASE)
 
 
 class TextSource(Source):
-    """A text file, parsed by NumPy a block of lines at a time."""
+    """A text file, parsed a block of lines at a time."""
 
-    def __init__(self, path: str) -> None:
-        with explained(path, "text file"), open(path, encoding="utf-8-sig") as file:
-            self._head = _read_head(file, path)
-        separator = "commas" if self._head.comma else "spaces"
-        super().__init__(path, f"text {' '.join(self._head.order)}, {separator}", sensor=self._head.sensor)
+    def __init__(self, path: str, asked: Asked) -> None:
+        self._encoding = _encoding(path)
+        with explained(path, "text file"), self._open(path) as file:
+            self._head = head = read_head(list(islice(file, SAMPLE_LINES)), path, asked)
+        order = " ".join(column for column in head.columns if column != "-")
+        words = f"text {order}, {head.style.words}"
+        super().__init__(path, words, sensor=head.sensor, unit=head.unit, notes=head.notes)
 
-    def raw_chunks(self, chunk_events: int) -> RawChunks:
+    def _open(self, path: str) -> Any:
+        return open(path, encoding=self._encoding, errors="replace")
+
+    def raw_chunks(self, chunk_events: int, faults: Faults) -> RawChunks:
         """Parse ``chunk_events`` lines at a time."""
-        head = self._head
-        # Whole times keep all their 64 bits; as float64 a stamp in ns since 1970 would lose its last digits.
-        kinds = {"t": "i8" if head.whole_times else "f8", "x": "f8", "y": "f8", "p": "f8"}
-        row = np.dtype([(column, kinds[column]) for column in head.order])
-        comma = "," if head.comma else None
-        with open(self.name, encoding="utf-8-sig") as file:
+        parser = _Parser(self._head, faults)
+        with self._open(self.name) as file:
             with explained(self.name, "text file"):
-                done = len(list(islice(file, head.lines)))
+                done = len(list(islice(file, self._head.lines)))
             while True:
                 with explained(self.name, f"text file after line {done:,}"):
                     block = list(islice(file, chunk_events))
-                    lines = [line for line in block if not _is_blank(line)]
-                    # An empty list would make NumPy warn.
-                    try:
-                        table = (
-                            np.loadtxt(lines, row, comments=None, delimiter=comma, ndmin=1) if lines else None
-                        )
-                    except ValueError:
-                        _refuse_what_is_no_event(block, done, self.name)
-                        raise
-                if not block:
-                    return
+                    if not block:
+                        return
+                    raw = parser(block, done)
                 done += len(block)
-                if table is not None:
-                    yield RawColumns(*(table[column] for column in ORDER))
+                if raw is not None:
+                    yield raw
 
 
-def _read_head(file: Iterator[str], path: str) -> _Head:
-    """Read up to the first event."""
-    sensor: tuple[int, int] | None = None
-    order: tuple[str, ...] = ORDER
-    for number, line in enumerate(file):
-        if _is_blank(line):
-            continue
-        comma = "," in line
-        words = line.replace(",", " ").split()
-        if len(words) == 2 and sensor is None and all(word.isdecimal() for word in words):
-            sensor = int(words[0]), int(words[1])
-        elif len(words) >= 4 and not any(_is_number(word) for word in words):
-            found = require_columns(words, path, f"header line {number + 1}")
-            order = tuple(sorted(ORDER, key=lambda column: words.index(found[column])))
-            if len(words) != 4:
-                raise RecordingError(
-                    f"{path}: header line {number + 1} names {len(words)} columns; keep t, x, y and p only"
-                )
-        elif len(words) == 4 and all(_is_number(word) for word in words):
-            return _Head(number, sensor, order, comma, words[order.index("t")].isdecimal())
-        else:
-            raise _no_event(path, number + 1, line)
-    raise RecordingError(f"{path}: the recording is empty: text without a single event")
+class _Parser:
+    """Lines to columns.  Times are whole numbers until a line has a fraction.
+
+    As float64 a stamp in ns since 1970 would lose its last digits.
+    """
+
+    def __init__(self, head: Head, faults: Faults) -> None:
+        self._head = head
+        self._faults = faults
+        self._whole_times = head.whole_times
+
+    def __call__(self, block: list[str], done: int) -> RawColumns | None:
+        """Parse lines, of which ``done`` came before."""
+        lines = [line for line in block if not is_blank(line)]
+        if not lines:  # NumPy would warn
+            return None
+        table = self._table(lines)
+        if table is None:
+            lines = self._without_wrong(block, done)
+            table = self._table(lines) if lines else None
+        return None if table is None else RawColumns(*(table[column] for column in "txyp"))
+
+    def _table(self, lines: list[str]) -> NDArray[Any] | None:
+        """Parse lines that are all events; None where one is not."""
+        style = self._head.style
+        if style.decimal_comma:
+            lines = [line.replace(",", ".") for line in lines]
+        if self._head.words:
+            lines = [_WORD.sub(lambda word: f"{WORDS[word[0].casefold()]:.0f}", line) for line in lines]
+        if style.separator:  # one at the end makes no column
+            lines = [line.rstrip().removesuffix(style.separator) for line in lines]
+        for whole in (True, False) if self._whole_times else (False,):
+            kinds = {"t": "i8" if whole else "f8", "x": "f8", "y": "f8", "p": "f8"}
+            fields = [
+                (column, kinds[column]) if column in kinds else (f"unused{i}", "U1")
+                for i, column in enumerate(self._head.columns)
+            ]
+            try:
+                with warnings.catch_warnings():
+                    warnings.simplefilter("error")  # NumPy reads 5.5 as 5 with a warning
+                    table = np.loadtxt(
+                        lines, fields, comments=None, delimiter=style.separator, ndmin=1, quotechar='"'
+                    )
+            except (ValueError, Warning):
+                continue
+            self._whole_times = whole
+            return table
+        return None
+
+    def _without_wrong(self, block: list[str], done: int) -> list[str]:
+        """Lines that are events; tells of the others."""
+        head = self._head
+        good, wrong = [], []
+        for number, line in enumerate(block, done + 1):
+            if is_blank(line):
+                continue
+            cells = head.style.cells(line)
+            values = head.style.values(line) if "-" not in head.columns else _used(cells, head)
+            if values is not None and len(cells) == len(head.columns):
+                good.append(_plain_line(line, head))
+            else:
+                wrong.append((number, line))
+        if wrong and not wrong[-1][1].endswith("\n"):  # only the last line of a file can end without
+            self._faults.cut(no_event_text(*wrong.pop()))
+        if wrong:
+            self._faults.met += len(wrong)
+            self._faults.leave_out(len(wrong), no_event_text(*wrong[0]), NO_EVENT_ADVICE)
+        return good
 
 
-def _refuse_what_is_no_event(block: list[str], done: int, path: str) -> None:
-    """Raise for the first line that is not four numbers; ``done`` lines came before the block."""
-    for number, line in enumerate(block, done + 1):
-        words = line.replace(",", " ").split()
-        if not _is_blank(line) and (len(words) != 4 or not all(map(_is_number, words))):
-            raise _no_event(path, number, line)
+def _used(cells: list[str], head: Head) -> list[float] | None:
+    from .text_head import _values
+
+    return _values(cell for cell, column in zip(cells, head.columns, strict=False) if column != "-")
 
 
-def _no_event(path: str, number: int, line: str) -> RecordingError:
-    return RecordingError(
-        f"{path}: line {number:,} is no event: {line.strip()[:60]!r};"
-        " a text recording has t x y p on each line"
-    )
+def _plain_line(line: str, head: Head) -> str:
+    """Write a line whose polarity is a word with a number."""
+    if head.words:
+        return line
+    return _WORD.sub(lambda word: f"{WORDS[word[0].casefold()]:.0f}", line)
 
 
-def _is_blank(line: str) -> bool:
-    text = line.lstrip()
-    return not text or text.startswith(COMMENTS)
-
-
-def _is_number(word: str) -> bool:
+def _encoding(path: str) -> str:
+    """Find the encoding of a text file: by its mark, else UTF-8, else one in which any byte is a letter."""
+    with explained(path, "text file"), open(path, "rb") as file:
+        head = file.read(ENCODING_BYTES)
+    if head.startswith((codecs.BOM_UTF16_LE, codecs.BOM_UTF16_BE)):
+        return "utf-16"
     try:
-        float(word)
-    except ValueError:
-        return False
-    return True
+        codecs.getincrementaldecoder("utf-8")().decode(head)
+    except UnicodeDecodeError:
+        return "latin-1"
+    return "utf-8-sig"

@@ -12,9 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..errors import RecordingError
-from .source import DeclaredUnit, TimeUnit
-
-PER_SECOND: dict[TimeUnit, int] = {"s": 1, "ms": 1_000, "us": 1_000_000, "ns": 1_000_000_000}
+from .declared import PER_SECOND, DeclaredUnit, TimeUnit
 
 # Mean events a pixel and second.  Above the upper bound no pixel recovers and no readout follows; below the
 # lower one the recording would be quieter than the noise of any sensor.

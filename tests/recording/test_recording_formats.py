@@ -27,7 +27,7 @@ def test_chunks_join_to_the_events_whatever_the_name(tmp_path, events, kind, chu
         chunks = list(recording.chunks())
         assert max(map(len, chunks)) <= chunk_events
         assert_same_events(recording.read(), events)
-        assert (recording.n_events, recording.warnings) == (len(events), [])
+        assert (recording.n_events, recording.notes) == (len(events), ())
         assert (recording.t_first_us, recording.t_last_us) == (events.t[0], events.t[-1])
 
 
@@ -219,7 +219,7 @@ def test_coarse_float32_times_are_told():
     t = np.linspace(100, 101, 5000, dtype=np.float32)
     columns = t, np.arange(5000) % 64, np.arange(5000) % 48, np.ones(5000)
     with open_recording(columns, sensor=SENSOR, time_unit="s") as recording:
-        assert recording.warnings == ["times are stored as float32, which tells no less than 7.6 us apart"]
+        assert recording.notes == ("times are stored as float32, which tells no less than 7.6 us apart",)
 
 
 def test_importing_loads_no_reader():

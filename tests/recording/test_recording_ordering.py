@@ -9,7 +9,8 @@ from recording_files import make_events
 from evqr.errors import RecordingError
 from evqr.events.array import EventArray
 from evqr.recording import open_recording
-from evqr.recording.ordering import MAX_DISORDER_US, Disorder, in_order
+from evqr.recording.faults import Faults
+from evqr.recording.ordering import MAX_DISORDER_US, in_order
 
 
 def disordered(seed: int, count: int, jitter_us: int) -> EventArray:
@@ -30,15 +31,15 @@ def disordered(seed: int, count: int, jitter_us: int) -> EventArray:
 def test_equals_a_stable_sort_and_counts_the_late(seed, count, jitter_us, chunk_events):
     events = disordered(seed, count, jitter_us)
     chunks = [events.cut(i, i + chunk_events) for i in range(0, count, chunk_events)]
-    disorder = Disorder()
-    sorted_chunks = list(in_order(chunks, chunk_events, disorder, "name"))
+    disorder = Faults("name")
+    sorted_chunks = list(in_order(chunks, chunk_events, disorder))
 
     order = np.argsort(events.t, kind="stable")
     for column in "txyp":
         joined = np.concatenate([getattr(chunk, column) for chunk in sorted_chunks])
         np.testing.assert_array_equal(joined, getattr(events, column)[order])
     back = np.maximum.accumulate(events.t) - events.t
-    assert (disorder.late_events, disorder.worst_us) == (np.count_nonzero(back), back.max())
+    assert (disorder.late, disorder.worst_us) == (np.count_nonzero(back), back.max())
     assert max(map(len, sorted_chunks)) <= chunk_events
 
 
@@ -50,7 +51,7 @@ def test_sorting_is_told_and_so_is_how_much():
     with open_recording((t, *xyp), sensor=(64, 48), time_unit="us", chunk_events=100) as recording:
         assert np.all(np.diff(recording.read().t) == 1)
         recording.read()
-        assert recording.warnings == ["5 events out of order by up to 4 us were sorted"]
+        assert recording.notes == ("5 events out of order by up to 4 us were sorted",)
 
 
 def test_nothing_is_held_back_longer_than_the_bound():
@@ -62,18 +63,19 @@ def test_nothing_is_held_back_longer_than_the_bound():
             fed.append(events.cut(i, i + 100))
             yield fed[-1]
 
-    for chunk in in_order(chunks(), 100, Disorder(), "name"):
+    for chunk in in_order(chunks(), 100, Faults("name")):
         if len(fed) < 200:
             assert fed[-1].t[0] - chunk.t[-1] <= MAX_DISORDER_US
 
 
 @pytest.mark.parametrize("chunk_events", [10, 1000])
-def test_a_jump_back_is_refused(chunk_events):
+def test_strictly_a_jump_back_is_refused(chunk_events):
     events = make_events(100, span_us=10)
     t = events.t + MAX_DISORDER_US + 11
     t[60] -= MAX_DISORDER_US + 11
     columns = t, events.x, events.y, events.p
-    with open_recording(columns, sensor=(64, 48), time_unit="us", chunk_events=chunk_events) as recording:
+    options = {"sensor": (64, 48), "time_unit": "us", "chunk_events": chunk_events, "strict": True}
+    with open_recording(columns, **options) as recording:
         with pytest.raises(
             RecordingError, match=r"jump back by 50,0\d\d us to \d+ us at event 60; up to 50,000 us"
         ):

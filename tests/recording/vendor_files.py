@@ -8,12 +8,12 @@ import numpy as np
 
 from evqr.events.array import EventArray
 
-# name: (suffix and format that eventcv wants, what evqr calls it, the package that decodes it)
-FORMATS: dict[str, tuple[str, str | None, str, str]] = {
-    "evt2": (".raw", "evt2", "Prophesee EVT2", "eventcv"),
+# name: (suffix and format that eventcv wants, what evqr calls it, the package that decodes it, if any)
+FORMATS: dict[str, tuple[str, str | None, str, str | None]] = {
+    "evt2": (".raw", "evt2", "Prophesee EVT2", None),
     "evt3": (".raw", "evt3", "Prophesee EVT3", "evt3"),
-    "dat": (".dat", None, "Prophesee DAT", "eventcv"),
-    "aedat4": (".aedat4", None, "AEDAT4", "eventcv"),
+    "dat": (".dat", None, "Prophesee DAT", None),
+    "aedat4": (".aedat4", None, "AEDAT4", "aedat"),
     "bag": (".bag", None, "ROS bag dvs_msgs/EventArray on /davis/left/events", "rosbags"),
 }
 

@@ -105,7 +105,7 @@ def test_decodes_to_the_figures_of_the_readme(name, chunk_events):
         assert (recording.width, recording.height) == expected.sensor
         assert (recording.t_first_us, recording.t_last_us) == (expected.t_first, expected.t_last)
         assert recording.n_events == len(events) == expected.off + expected.on
-        assert recording.warnings == []
+        assert recording.notes == ()
     assert (np.sum(events.p < 0), np.sum(events.p > 0)) == (expected.off, expected.on)
     assert rows(events, len(expected.first)) == expected.first
 
