@@ -19,6 +19,7 @@ from evqr.results import ReadResult, ReadStatus, WindowReading
 from evqr.solver import Sighting, Solver, StageClock, Unseen
 from evqr.stream.feed import Feed
 from evqr.stream.scheduler import Passes, Progress
+from evqr.symbol import qr
 from evqr.symbol.decode import Decoded, decode_grid
 
 if TYPE_CHECKING:
@@ -215,11 +216,11 @@ def _read_alone(start: _Start, events: Feed, solver: Solver) -> WindowReading:
             estimate = solve_modules(sighting.weighted, solver.config.stage_two, workspace=solver.workspace)
             q, solved = estimate.q, estimate.iterations
         with solver.clock("decode"):
-            outcome = decode_grid(q, effort="full")
+            outcome = decode_grid(q, qr.space(sighting.version), effort="full")
         if isinstance(outcome, Decoded):
             status, text = ReadStatus.READ, outcome.text
         else:
-            status, reason = ReadStatus.NO_READ, outcome.reason
+            status, reason = ReadStatus.NO_READ, str(outcome)
     found = sighting if isinstance(sighting, Sighting) else None
     return WindowReading(
         status=status,

@@ -32,8 +32,9 @@ class CodeReading:
     Attributes
     ----------
     text, data                the payload, as text and as bytes
-    symbology                 "QRCode"
-    version, ec_level, mask   of the symbol: 1 to 40, "L" "M" "Q" "H", 0 to 7
+    symbology                 "QRCode", "MicroQRCode"
+    version                   of the symbol: 1 to 40, or text (M2)
+    ec_level, mask            "L" "M" "Q" "H", 0 to 7; None where the symbology has none
     t_first_us, t_last_us     event time of first and last sight [us]
     t_read_us                 event time at which it first decoded [us]
     windows                   windows of events that were used until it decoded
@@ -49,9 +50,9 @@ class CodeReading:
     text: str
     data: bytes
     symbology: str
-    version: int
-    ec_level: str
-    mask: int
+    version: int | str
+    ec_level: str | None
+    mask: int | None
     t_first_us: int
     t_last_us: int
     t_read_us: int

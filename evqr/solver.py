@@ -28,7 +28,7 @@ from evqr.fit.region import Region, region_around
 from evqr.search.finder import find_hypotheses
 from evqr.search.motion_estimate import Motion, estimate_motion, find_motion, window_length_us
 from evqr.search.screen import Candidate, batches, screen
-from evqr.symbol.space import size_of
+from evqr.symbol import qr
 from evqr.workspace import Workspace
 from evqr_kernels.backend import get_backend
 
@@ -95,7 +95,7 @@ class Sighting:
     @property
     def size(self) -> int:
         """Modules a side."""
-        return size_of(self.version)
+        return qr.size_of(self.version)
 
     @property
     def weighted(self) -> NormalEquations:
@@ -287,7 +287,7 @@ class Solver:
         looks: list[_Closer] = []
         for candidate in candidates:
             version = candidate.version
-            region = region_around(candidate.pose, size_of(version), cfg, margin_px=SEARCH_MARGIN_PX)
+            region = region_around(candidate.pose, qr.size_of(version), cfg, margin_px=SEARCH_MARGIN_PX)
             seen = measure(
                 window, velocity, region, region.from_px @ candidate.pose, version, _lag_px(lag_us, velocity),
                 self.config, workspace=self.workspace,

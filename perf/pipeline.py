@@ -27,6 +27,7 @@ from evqr.geometry import outline
 from evqr.paper.methods import descent, integrate
 from evqr.search.finder import find_hypotheses
 from evqr.solver import Sighting, Solver, StageClock, Unseen
+from evqr.symbol import qr
 from evqr.symbol.decode import Decoded, decode_grid
 
 METHODS = ("cold", "tracked", "integrate", "integrate4", "descent")
@@ -125,7 +126,7 @@ def _finish(seen: Sighting | Unseen | None, solver: Solver) -> str | None:
     with solver.clock("stage_two"):
         estimate = solve_modules(seen.weighted, solver.config.stage_two, workspace=solver.workspace)
     with solver.clock("decode"):
-        outcome = decode_grid(estimate.q)
+        outcome = decode_grid(estimate.q, qr.space(seen.version))
     return outcome.text if isinstance(outcome, Decoded) else None
 
 

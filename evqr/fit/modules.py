@@ -22,7 +22,7 @@ from numpy.typing import NDArray
 
 from evqr.config import StageTwoConfig
 from evqr.fit.model import QUIET_MODULES, lattice, profiles
-from evqr.symbol.space import code_space, size_of
+from evqr.symbol import qr
 from evqr.workspace import Step, Workspace
 
 REACH = 2
@@ -98,7 +98,7 @@ class Equations(Step):
         super().__init__(workspace.backend)
         self._version = version
         self._image, self._pose, self._gain = image, pose, gain
-        axis = lattice(size_of(version), cfg.samples)
+        axis = lattice(qr.size_of(version), cfg.samples)
         count, modules = len(axis), len(axis) // cfg.samples
         b, slope, bb, ss, bs = _profile_tables(sigma, cfg.samples)
         mixed = np.outer(bs, bs[::-1])
@@ -128,7 +128,7 @@ class Equations(Step):
 @functools.cache
 def _fixed(version: int) -> tuple[NDArray[np.int32], NDArray[np.float32]]:
     """Which modules are free, and q - 1 to start from: known values, and the middle where free."""
-    space = code_space(version)
+    space = qr.space(version)
     inner = slice(QUIET_MODULES, QUIET_MODULES + space.size)
     modules = space.size + 2 * QUIET_MODULES
     free = np.zeros((modules, modules), np.int32)
@@ -217,7 +217,7 @@ def solve_modules(equations: NormalEquations, cfg: StageTwoConfig, *, workspace:
     step = workspace.once(("code", version, cfg), lambda: Solution(version, cfg, workspace))
     step.write(equations)
     step.run_first()
-    iterations, most_unclear = step.iterations, cfg.unclear * size_of(version) ** 2
+    iterations, most_unclear = step.iterations, cfg.unclear * qr.size_of(version) ** 2
     for _ in range(cfg.passes - 1):
         if step.unclear <= most_unclear:
             break

@@ -22,7 +22,7 @@ from evqr.events.window import Window
 from evqr.fit.image import Deposit, Sharpen
 from evqr.fit.model import profiles
 from evqr.fit.region import Region
-from evqr.symbol.space import MAX_VERSION, MIN_VERSION
+from evqr.symbol.qr import MAX_VERSION, MIN_VERSION
 from evqr.workspace import EventSlots, Mirror, Step, Workspace
 
 ANGLES = 8

@@ -13,6 +13,7 @@ from evqr.geometry import outline
 from evqr.results import CodeReading
 from evqr.search.motion_estimate import travel_time_us
 from evqr.solver import Sighting, Solver, StageClock
+from evqr.symbol import qr
 from evqr.symbol.decode import Decoded, DecodeFailure, decode_grid
 
 BASELINE = 8
@@ -101,9 +102,11 @@ class Track:
             estimate = self._tally.add(self.seen.equations, self.seen.noise)
         with self.clock("decode"):
             thorough = self._tally.windows % FULL_EFFORT_EVERY == 0
-            outcome = decode_grid(estimate.q, effort="full" if thorough else "quick")
+            outcome = decode_grid(
+                estimate.q, qr.space(self.seen.version), effort="full" if thorough else "quick"
+            )
         if isinstance(outcome, DecodeFailure):
-            self.why_not = outcome.reason
+            self.why_not = str(outcome)
             return
         self.reading = self._reading(outcome, estimate.q)
 
@@ -112,7 +115,7 @@ class Track:
         return CodeReading(
             text=decoded.text,
             data=decoded.data,
-            symbology=decoded.symbology,
+            symbology=decoded.symbology.value,
             version=decoded.version,
             ec_level=decoded.ec_level,
             mask=decoded.mask,

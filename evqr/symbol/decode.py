@@ -21,9 +21,10 @@ import zxingcpp
 from numpy.typing import NDArray
 
 from evqr.config import DecodeConfig
+from evqr.reason import Reason
 from evqr.symbol.chance import count_pads, log_chance_contents
 from evqr.symbol.qr_codewords import Block, ErrorLevel, codeword_layout, format_words, symbol_of, unmasked
-from evqr.symbol.space import version_of
+from evqr.symbol.space import CodeSpace, Symbology, Version
 
 Effort = Literal["quick", "full"]
 
@@ -42,24 +43,37 @@ class Decoded:
 
     Attributes
     ----------
-    text, data                the payload, as text and as bytes
-    symbology                 "QRCode"
-    version, ec_level, mask   of the symbol: 1 to 40, "L" "M" "Q" "H", 0 to 7
-    mirrored                  the grid was the transpose of the symbol
-    errors_corrected          codewords that error correction changed, erased ones included
-    erasures                  codewords that were erased
-    spare                     unused check codewords, n_check - 2 errors - erasures: the least over the blocks
-    modules : (r, r) int8     the exact symbol, in the orientation of the grid: -1 dark, +1 light
-    log10_chance              decimal logarithm of the number of contents expected to agree as well by chance
-    confidence                1 / (1 + wrong_grids 10^log10_chance): that the text is right, 0 to 1
+    text : str
+        The payload.
+    data : bytes
+        The payload, as it is in the symbol.
+    space : CodeSpace
+        Kind and size of the symbol.
+    ec_level : str, optional
+        "L", "M", "Q" or "H"; None where the symbology has no levels.
+    mask : int, optional
+        Number of the mask; None where the symbology has none.
+    mirrored : bool
+        The grid was the transpose of the symbol.
+    errors_corrected : int
+        Codewords that error correction changed, erased ones included.
+    erasures : int
+        Codewords that were erased.
+    spare : int
+        Unused check codewords, n_check - 2 errors - erasures: the least over the blocks.
+    modules : (V, U) int8
+        The exact symbol, in the orientation of the grid: -1 dark, +1 light.
+    log10_chance : float
+        Decimal logarithm of the number of contents expected to agree as well by chance.
+    confidence : float
+        1 / (1 + wrong_grids 10^log10_chance): that the text is right, 0 to 1.
     """
 
     text: str
     data: bytes
-    symbology: str
-    version: int
-    ec_level: ErrorLevel
-    mask: int
+    space: CodeSpace
+    ec_level: ErrorLevel | None
+    mask: int | None
     mirrored: bool
     errors_corrected: int
     erasures: int
@@ -68,6 +82,16 @@ class Decoded:
     log10_chance: float
     confidence: float
 
+    @property
+    def symbology(self) -> Symbology:
+        """Kind of the symbol."""
+        return self.space.symbology
+
+    @property
+    def version(self) -> Version:
+        """Size of the symbol: an int for QR codes, text for others."""
+        return self.space.version
+
 
 @dataclass(frozen=True, kw_only=True)
 class DecodeFailure:
@@ -75,15 +99,26 @@ class DecodeFailure:
 
     Attributes
     ----------
-    reason            one line
-    version           of the grid
-    ec_level, mask    most likely format, None when it is unreadable
+    reason : Reason
+        Why.
+    detail : str
+        What it was in this case; empty where the reason says it all.
+    space : CodeSpace
+        What was taken for granted of the grid.
+    ec_level : str, optional
+        Of the most likely format; None where it is unreadable, or there are no levels.
+    mask : int, optional
+        Of the most likely format; None where it is unreadable, or there are no masks.
     """
 
-    reason: str
-    version: int
+    reason: Reason
+    detail: str
+    space: CodeSpace
     ec_level: ErrorLevel | None = None
     mask: int | None = None
+
+    def __str__(self) -> str:
+        return self.reason.explained(self.detail)
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
@@ -97,61 +132,70 @@ class _CorrectedBlock:
 
 
 def decode_grid(
-    q: NDArray[np.floating], *, config: DecodeConfig | None = None, effort: Effort = "quick"
+    q: NDArray[np.floating],
+    space: CodeSpace,
+    *,
+    config: DecodeConfig | None = None,
+    effort: Effort = "quick",
 ) -> Decoded | DecodeFailure:
     """Decode an estimated module grid.
 
     Parameters
     ----------
-    q : (r, r) float   < 0 dark, > 0 light, 0 unknown; magnitude is reliability, in any unit; what it says of
-                       function patterns is not used
-    config             thresholds
-    effort             "quick": few tries; "full": many, and the transpose too (mirrored symbols)
+    q : (V, U) float
+        Below 0 dark, above 0 light, 0 unknown; the magnitude is the reliability, in any unit.  Known modules
+        are not looked at.
+    space : CodeSpace
+        Kind and size of the symbol.
+    config : DecodeConfig, optional
+        Thresholds.
+    effort : {"quick", "full"}
+        Few tries; or many, and the transpose too (mirrored symbols).
 
     Returns
     -------
-    Decoded            when the confidence reaches ``config.min_confidence``
-    DecodeFailure      otherwise
+    Decoded or DecodeFailure
+        The reading when its confidence reaches ``config.min_confidence``.
 
     Raises
     ------
-    ValueError         q is not square, not of a size that a version has, or not finite
+    ValueError
+        The grid is not of the space's shape, or not finite.
     """
     config = config or DecodeConfig()
     q = np.asarray(q, dtype=np.float64)
-    if q.ndim != 2 or q.shape[0] != q.shape[1]:
-        raise ValueError(f"q must have shape (r, r), got {q.shape}")
+    if q.shape != space.known.shape:
+        raise ValueError(f"q must have shape {space.known.shape} for {space}, got {q.shape}")
     if not np.isfinite(q).all():
         raise ValueError("q must be finite, got NaN or infinity: write 0 for unknown modules")
     if effort not in ("quick", "full"):
         raise ValueError(f"effort must be 'quick' or 'full', got {effort!r}")
-    outcome = _decode_oriented(q, config, effort, mirrored=False)
+    outcome = _decode_oriented(q, space, config, effort, mirrored=False)
     if effort == "full" and isinstance(outcome, DecodeFailure):
-        mirrored = _decode_oriented(q.T, config, effort, mirrored=True)
+        mirrored = _decode_oriented(q.T, space, config, effort, mirrored=True)
         if isinstance(mirrored, Decoded):
             return mirrored
     return outcome
 
 
 def _decode_oriented(
-    q: NDArray[np.float64], config: DecodeConfig, effort: Effort, *, mirrored: bool
+    q: NDArray[np.float64], space: CodeSpace, config: DecodeConfig, effort: Effort, *, mirrored: bool
 ) -> Decoded | DecodeFailure:
     """Decode with each of the likely formats until one gives a reading."""
-    version = version_of(len(q))
-    words = format_words(version)
+    words = format_words(space.version)
     soft = q.ravel()[words.at]
     correlation = ((words.signs @ soft) / max(float(np.abs(soft).sum()), _TINY)).tolist()
     best = max(correlation)
     if best < config.format_floor:
-        reason = f"format information unreadable: its modules correlate {best:.2f} with the likeliest word"
-        return DecodeFailure(reason=f"{reason}, {config.format_floor:.2f} needed", version=version)
+        detail = f"its modules correlate {best:.2f} with the likeliest word, {config.format_floor:.2f} needed"
+        return DecodeFailure(reason=Reason.FORMAT_UNREADABLE, detail=detail, space=space)
 
     likely = [k for k, value in enumerate(correlation) if value >= best - config.format_margin]
     likely.sort(key=lambda k: -correlation[k])
     outcomes = []
     for index in likely[: config.format_candidates]:
         level, mask = words.meaning[index]
-        outcome = _decode_format(q, version, level, mask, config, effort, mirrored=mirrored)
+        outcome = _decode_format(q, space, level, mask, config, effort, mirrored=mirrored)
         if isinstance(outcome, Decoded):
             return outcome
         outcomes.append(outcome)
@@ -160,8 +204,8 @@ def _decode_oriented(
 
 def _decode_format(
     q: NDArray[np.float64],
-    version: int,
-    level: ErrorLevel,
+    space: CodeSpace,
+    level: ErrorLevel | None,
     mask: int,
     config: DecodeConfig,
     effort: Effort,
@@ -169,14 +213,14 @@ def _decode_format(
     mirrored: bool,
 ) -> Decoded | DecodeFailure:
     """Decode with known level and mask: correct every block, judge, rebuild the symbol, interpret it."""
-    layout = codeword_layout(version, level)
-    soft = unmasked(q, version, level, mask)
+    layout = codeword_layout(space.version, level)
+    soft = unmasked(q, space.version, level, mask)
     # Every format and orientation that might be tried is one more opportunity for chance.
     hypotheses = math.log(2 * config.format_candidates)
     log_limit = config.log_chance_limit - hypotheses - math.log(len(layout.blocks))
 
-    def failed(reason: str) -> DecodeFailure:
-        return DecodeFailure(reason=reason, version=version, ec_level=level, mask=mask)
+    def failed(reason: Reason, detail: str) -> DecodeFailure:
+        return DecodeFailure(reason=reason, detail=detail, space=space, ec_level=level, mask=mask)
 
     codewords = np.packbits(soft < 0.0)
     blocks = []
@@ -186,14 +230,15 @@ def _decode_format(
         result = _correct_block(
             soft[block.bits], block, _tries(block.n_check, config, effort), padding, log_limit
         )
-        if isinstance(result, str):
+        if isinstance(result, tuple):
+            reason, detail = result
             place = f"level {level}, mask {mask}, block {index + 1} of {len(layout.blocks)}"
-            return failed(f"{result} ({place})")
+            return failed(reason, f"{detail} ({place})")
         blocks.append(result)
         codewords[block.codewords] = result.codewords
         padding = padding and result.n_pads == block.n_data
 
-    modules = symbol_of(codewords, version, level, mask)
+    modules = symbol_of(codewords, space.version, level, mask)
     barcode = zxingcpp.read_barcode(
         ~modules.view(np.uint8),  # 0 and 254
         formats=_QR_CODE,
@@ -205,16 +250,14 @@ def _decode_format(
     )
     # A texture that equals a mask (stripes, checks) is the all-zero word: valid, and empty.
     if barcode is None or not barcode.valid or not barcode.bytes:
-        reason = "error correction succeeded, but the data is empty or malformed"
-        return failed(f"{reason} (level {level}, mask {mask})")
+        return failed(Reason.NO_CONTENT, f"level {level}, mask {mask}")
 
     least_sure = max(block.log_chance for block in blocks)
     log_chance = hypotheses + least_sure + math.log(sum(math.exp(b.log_chance - least_sure) for b in blocks))
     return Decoded(
         text=barcode.text,
         data=barcode.bytes,
-        symbology="QRCode",
-        version=version,
+        space=space,
         ec_level=level,
         mask=mask,
         mirrored=mirrored,
@@ -229,7 +272,7 @@ def _decode_format(
 
 def _correct_block(
     soft: NDArray[np.float64], block: Block, tries: list[int], padding: bool, log_limit: float
-) -> _CorrectedBlock | str:
+) -> _CorrectedBlock | tuple[Reason, str]:
     """Correct one block with ever more erasures, until the result is beyond chance; else tell the reason.
 
     Parameters
@@ -270,9 +313,10 @@ def _correct_block(
         least = min(least, log_chance)
     if least < 0.0:
         chance, limit = least / math.log(10.0), log_limit / math.log(10.0)
-        return f"possibly chance: 10^{chance:.1f} contents would agree as well, 10^{limit:.1f} allowed"
-    n = len(received)
-    return f"error correction failed: too many of {n} codewords wrong for {block.n_check} check codewords"
+        detail = f"10^{chance:.1f} contents would agree as well, 10^{limit:.1f} allowed"
+        return Reason.POSSIBLY_CHANCE, detail
+    detail = f"too many of {len(received)} codewords wrong for {block.n_check} check codewords"
+    return Reason.TOO_MANY_ERRORS, detail
 
 
 def _doubtful(strength: NDArray[np.float64]) -> list[int]:

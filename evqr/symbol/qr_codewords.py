@@ -1,7 +1,8 @@
-"""Where the codewords of a QR code are: masks, format words, placement and interleaving.
+"""What the modules of a QR or Micro QR code carry: function patterns, format words, masks and codewords.
 
 All modules are +1 light and -1 dark, bit 1 is dark, and a mask is a grid of signs: masking is multiplying.
-Like the code space, everything comes from segno's tables and placement.
+A version is 1 to 40 or M1 to M4.  Everything comes from segno's tables and placement, so that the tables of
+ISO/IEC 18004 are not repeated here.
 """
 
 from __future__ import annotations
@@ -14,25 +15,97 @@ import numpy as np
 from numpy.typing import NDArray
 
 from evqr.symbol.reed_solomon import ReedSolomon
-from evqr.symbol.space import code_space, read_only, size_of
+from evqr.symbol.space import Version, read_only
 
 ErrorLevel = Literal["L", "M", "Q", "H"]
 LEVELS: tuple[ErrorLevel, ...] = ("L", "M", "Q", "H")
-N_MASKS = 8
+
+QR_FIELD = 0x11D
+"""Polynomial of the codewords' field, GF(256)."""
+
+HALF_CODEWORDS = ("M1", "M3")
+"""Versions whose last data codeword has four bits."""
+
+
+def levels_of(version: Version) -> tuple[ErrorLevel | None, ...]:
+    """Return the error correction levels of a version, the weakest first; M1 has one without a name."""
+    from segno import consts
+
+    shapes = consts.ECC[_segno_version(version)]
+    levels: tuple[ErrorLevel | None, ...] = (None, *LEVELS)
+    return tuple(level for level in levels if _segno_level(level) in shapes)
+
+
+@dataclass(frozen=True, eq=False, kw_only=True)
+class Roles:
+    """The modules of one version, by what they carry: every one is known, format or data.
+
+    Attributes
+    ----------
+    known : (r, r) bool
+        Function patterns.
+    values : (r, r) int8
+        -1 dark, +1 light where known, 0 elsewhere.
+    format : (r, r) bool
+        Format information: level and mask.
+    data : (r, r) bool
+        Codewords, and the few remainder bits behind the last.
+    """
+
+    known: NDArray[np.bool_]
+    values: NDArray[np.int8]
+    format: NDArray[np.bool_]
+    data: NDArray[np.bool_]
+
+
+@functools.cache
+def roles_of(version: Version) -> Roles:
+    """Return what the modules of a version carry."""
+    import segno  # here: it takes 60 ms to import
+    from segno import consts
+
+    micro = isinstance(version, str)
+    symbol = segno.make(
+        "0", version=version, error=levels_of(version)[0], mask=0, boost_error=False, micro=micro
+    )
+    kind = np.array(list(symbol.matrix_iter(border=0, verbose=True)))
+    if not micro:
+        # segno (1.6) counts the data module left of the upper right format bits as one of them.
+        kind[8, len(kind) - 9] = consts.TYPE_DATA_LIGHT
+    is_format = np.isin(kind, [consts.TYPE_FORMAT_LIGHT, consts.TYPE_FORMAT_DARK])
+    is_data = np.isin(kind, [consts.TYPE_DATA_LIGHT, consts.TYPE_DATA_DARK])
+    known = ~(is_format | is_data)
+    values = np.where(np.array(symbol.matrix, dtype=bool), -1, 1) * known
+    return Roles(
+        known=read_only(known),
+        values=read_only(values.astype(np.int8)),
+        format=read_only(is_format),
+        data=read_only(is_data),
+    )
 
 
 @dataclass(frozen=True, kw_only=True)
 class Block:
-    """One Reed-Solomon block: ``codewords`` is its part of the symbol's codewords, data first, then check."""
+    """One Reed-Solomon block.
+
+    Attributes
+    ----------
+    codewords : slice
+        Its part of the symbol's codewords, data first, then check.
+    n_data : int
+        Data codewords.
+    code : ReedSolomon
+        What it is a word of.
+    """
 
     codewords: slice
     n_data: int
-    n_check: int
+    code: ReedSolomon
 
     @property
-    def code(self) -> ReedSolomon:
-        """The code over GF(256) that it is a word of."""
-        return ReedSolomon(polynomial=0x11D, n_check=self.n_check)
+    def n_check(self) -> int:
+        """Check codewords."""
+        return self.code.n_check
 
     @property
     def bits(self) -> slice:
@@ -46,8 +119,11 @@ class CodewordLayout:
 
     Attributes
     ----------
-    bits : (8 n,) intp   flat module index of every bit, most significant first, blocks one after another
-    blocks               in order of their data
+    bits : (8 n,) intp
+        Flat module index of every bit, most significant first, blocks one after another; -1 for a bit that is
+        not printed, and zero: the last four of the last data codeword of M1 and M3.
+    blocks : tuple of Block
+        In order of their data.
     """
 
     bits: NDArray[np.intp]
@@ -55,13 +131,13 @@ class CodewordLayout:
 
 
 @functools.cache
-def codeword_layout(version: int, level: ErrorLevel) -> CodewordLayout:
+def codeword_layout(version: Version, level: ErrorLevel | None) -> CodewordLayout:
     """Return where the codewords of a version and level are."""
     from segno import consts
 
     shapes = [
         (ec.num_data, ec.num_total - ec.num_data)
-        for ec in consts.ECC[version][consts.ERROR_MAPPING[level]]
+        for ec in consts.ECC[_segno_version(version)][_segno_level(level)]
         for _ in range(ec.num_blocks)
     ]
     # A symbol holds the first data codeword of every block, then the second ..., then the check codewords so.
@@ -73,73 +149,82 @@ def codeword_layout(version: int, level: ErrorLevel) -> CodewordLayout:
     blocks, codewords, start = [], [], 0
     for b, (n_data, n_check) in enumerate(shapes):
         stop = start + n_data + n_check
-        blocks.append(Block(codewords=slice(start, stop), n_data=n_data, n_check=n_check))
+        code = ReedSolomon(polynomial=QR_FIELD, n_check=n_check)
+        blocks.append(Block(codewords=slice(start, stop), n_data=n_data, code=code))
         codewords += [place[b, i] for i in range(n_data + n_check)]
         start = stop
-    bits = _placement(version)[: 8 * start].reshape(-1, 8)[codewords]
-    return CodewordLayout(bits=read_only(bits.ravel()), blocks=tuple(blocks))
+    printed = np.ones((start, 8), dtype=bool)
+    if version in HALF_CODEWORDS:
+        printed[len(data) - 1, 4:] = False
+    modules = np.full((start, 8), -1, dtype=np.intp)
+    modules[printed] = _placement(version)[: np.count_nonzero(printed)]
+    return CodewordLayout(bits=read_only(modules[codewords].ravel()), blocks=tuple(blocks))
 
 
 @functools.cache
-def mask_signs(version: int) -> NDArray[np.int8]:
-    """Return the eight masks, (8, r r) int8: -1 where a data module is inverted, +1 elsewhere."""
+def mask_signs(version: Version) -> NDArray[np.int8]:
+    """Return the masks, (8, r r) or (4, r r) int8: -1 where a data module is inverted, +1 elsewhere."""
     from segno import encoder
 
-    space = code_space(version)
-    rows, columns = np.indices((space.size, space.size))
-    masks = [
-        inverts(rows, columns) & space.data for inverts in encoder.get_data_mask_functions(is_micro=False)
-    ]
-    return read_only(np.where(masks, -1, 1).astype(np.int8).reshape(N_MASKS, -1))
+    data = roles_of(version).data
+    rows, columns = np.indices(data.shape)
+    functions = encoder.get_data_mask_functions(is_micro=isinstance(version, str))
+    masks = np.array([inverts(rows, columns) & data for inverts in functions])
+    return read_only(np.where(masks, -1, 1).astype(np.int8).reshape(len(masks), -1))
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
 class FormatWords:
-    """The 32 words of format information of a version.
+    """The words of format information of a version: 32, or those of a Micro QR code's version.
 
     Attributes
     ----------
-    at : (30,) intp            flat module index of each of their modules (both copies)
-    signs : (32, 30) float64   -1 dark, +1 light
-    meaning                    level and mask of each word
+    at : (k,) intp
+        Flat module index of each of their modules: 30 in two copies, or 15.
+    signs : (n, k) float64
+        -1 dark, +1 light.
+    meaning : tuple
+        Level and mask of each word.
     """
 
     at: NDArray[np.intp]
     signs: NDArray[np.float64]
-    meaning: tuple[tuple[ErrorLevel, int], ...]
+    meaning: tuple[tuple[ErrorLevel | None, int], ...]
 
 
 @functools.cache
-def format_words(version: int) -> FormatWords:
+def format_words(version: Version) -> FormatWords:
     """Return the words of format information of a version."""
-    from segno import consts, encoder
+    from segno import encoder
 
-    space = code_space(version)
-    meaning: tuple[tuple[ErrorLevel, int], ...] = tuple(
-        (level, mask) for level in LEVELS for mask in range(N_MASKS)
+    is_format = roles_of(version).format
+    meaning: tuple[tuple[ErrorLevel | None, int], ...] = tuple(
+        (level, mask) for level in levels_of(version) for mask in range(len(mask_signs(version)))
     )
     words = []
     for level, mask in meaning:
-        matrix = [bytearray(space.size) for _ in range(space.size)]
-        encoder.add_format_info(matrix, version, consts.ERROR_MAPPING[level], mask)
-        words.append(np.where(np.array(matrix)[space.format], -1, 1))
-    at = np.flatnonzero(space.format)
+        matrix = [bytearray(len(is_format)) for _ in range(len(is_format))]
+        encoder.add_format_info(matrix, _segno_version(version), _segno_level(level), mask)
+        words.append(np.where(np.array(matrix)[is_format], -1, 1))
+    at = np.flatnonzero(is_format)
     return FormatWords(at=read_only(at), signs=read_only(np.array(words, np.float64)), meaning=meaning)
 
 
-def symbol_of(codewords: NDArray[np.uint8], version: int, level: ErrorLevel, mask: int) -> NDArray[np.int8]:
+def symbol_of(
+    codewords: NDArray[np.uint8], version: Version, level: ErrorLevel | None, mask: int
+) -> NDArray[np.int8]:
     """Return the exact symbol, (r, r) int8, that carries some codewords.
 
     Parameters
     ----------
-    codewords : (n,) uint8   data and check codewords of the first block, then of the second, ...
+    codewords : (n,) uint8
+        Data and check codewords of the first block, then of the second, ...
     """
     masked = _masked(version, level, mask)
     modules = masked.symbol.copy()
-    dark = np.unpackbits(codewords ^ masked.codewords).view(np.int8)
-    modules[codeword_layout(version, level).bits] = 1 - 2 * dark
-    size = size_of(version)
-    return modules.reshape(size, size)
+    signs = (1 - 2 * np.unpackbits(codewords).view(np.int8)) * masked.signs
+    modules[codeword_layout(version, level).bits[masked.printed]] = signs[masked.printed]
+    return modules.reshape(roles_of(version).known.shape)
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
@@ -148,46 +233,65 @@ class _Masked:
 
     Attributes
     ----------
-    signs : (8 n,) int8        of the mask, in the order of the codewords' bits
-    codewords : (n,) uint8     that the mask turns into light modules
-    symbol : (r r,) int8       with those
+    signs : (8 n,) int8
+        Of the mask, in the order of the codewords' bits; 0 for bits that are not printed.
+    printed : (k,) intp or slice
+        Bits that are.
+    symbol : (r r,) int8
+        All other modules.
     """
 
     signs: NDArray[np.int8]
-    codewords: NDArray[np.uint8]
+    printed: NDArray[np.intp] | slice
     symbol: NDArray[np.int8]
 
 
 @functools.cache
-def _masked(version: int, level: ErrorLevel, mask: int) -> _Masked:
-    space, words = code_space(version), format_words(version)
+def _masked(version: Version, level: ErrorLevel | None, mask: int) -> _Masked:
+    roles, words = roles_of(version), format_words(version)
     symbol = mask_signs(version)[mask].copy()
-    symbol[space.known.ravel()] = space.values[space.known]
+    symbol[roles.known.ravel()] = roles.values[roles.known]
     symbol[words.at] = words.signs[words.meaning.index((level, mask))]
     bits = codeword_layout(version, level).bits
-    signs = mask_signs(version)[mask][bits]
-    symbol[bits] = 1
+    signs = np.where(bits < 0, 0, mask_signs(version)[mask][bits])
     return _Masked(
-        signs=read_only(signs),
-        codewords=read_only(np.packbits(signs < 0)),
+        signs=read_only(signs.astype(np.int8)),
+        printed=slice(None) if (bits >= 0).all() else np.flatnonzero(bits >= 0),
         symbol=read_only(symbol),
     )
 
 
-def unmasked(q: NDArray[np.float64], version: int, level: ErrorLevel, mask: int) -> NDArray[np.float64]:
-    """Return the modules (8 n,) that carry the codewords' bits, the mask undone, of a grid (r, r)."""
+def unmasked(
+    q: NDArray[np.float64], version: Version, level: ErrorLevel | None, mask: int
+) -> NDArray[np.float64]:
+    """Return the modules (8 n,) that carry the codewords' bits, the mask undone, of a grid (r, r).
+
+    Bits that are not printed are 0.
+    """
     return q.ravel()[codeword_layout(version, level).bits] * _masked(version, level, mask).signs
 
 
 @functools.cache
-def _placement(version: int) -> NDArray[np.intp]:
+def _placement(version: Version) -> NDArray[np.intp]:
     """Return the flat indices of the data modules in the order in which codewords fill them."""
     from segno import encoder
 
-    space = code_space(version)
+    data = roles_of(version).data
     empty = 2  # segno's mark of a module to fill; we let it fill in the number of the bit instead of the bit
-    matrix = np.where(space.data, empty, 0).tolist()
+    matrix = np.where(data, empty, 0).tolist()
     first = empty + 1
-    encoder.add_codewords(matrix, range(first, first + np.count_nonzero(space.data)), version)
+    encoder.add_codewords(matrix, range(first, first + np.count_nonzero(data)), _segno_version(version))
     order = np.argsort(np.array(matrix).ravel())
-    return order[-np.count_nonzero(space.data) :]
+    return order[-np.count_nonzero(data) :]
+
+
+def _segno_version(version: Version) -> int:
+    from segno import consts
+
+    return consts.MICRO_VERSION_MAPPING[version] if isinstance(version, str) else version
+
+
+def _segno_level(level: ErrorLevel | None) -> int | None:
+    from segno import consts
+
+    return None if level is None else consts.ERROR_MAPPING[level]

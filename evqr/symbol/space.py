@@ -1,101 +1,152 @@
-"""What is known of a QR code before it is read: where its modules are, and which of them are fixed.
+"""What is known of a symbol before it is read: its kind and size, where its modules are and which are fixed.
 
-The version alone fixes the function patterns (finders, separators, timing, alignment, the dark module,
-version information).  They anchor the pose, and they need not be estimated.  All of it comes from segno, so
-that the tables of ISO/IEC 18004 are not repeated here.
+The fixed modules (finder patterns, separators, timing and the like) anchor the pose, and they need not be
+estimated.  How the others carry the content is the business of the symbology's own file.
 """
 
 from __future__ import annotations
 
-import functools
-from dataclasses import dataclass
+from dataclasses import dataclass, field
+from enum import Enum
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-MIN_VERSION = 1
-MAX_VERSION = 40
+Version = int | str
+"""Of a symbol: 1 to 40 for QR codes, text for others (M2, R11x27, 22x22)."""
 
 
-@dataclass(frozen=True, eq=False, kw_only=True)
-class CodeSpace:
-    """The modules of one version, by what they carry.  Every module is in exactly one of the three masks.
+class Symbology(str, Enum):
+    """Kinds of symbols, by zxing-cpp's names; those that can be read are in `evqr.symbol.symbols`."""
+
+    QR_CODE = "QRCode"
+    MICRO_QR_CODE = "MicroQRCode"
+    RMQR_CODE = "RMQRCode"
+    DATA_MATRIX = "DataMatrix"
+    AZTEC = "Aztec"
+
+    def __str__(self) -> str:
+        return self.value
+
+    @classmethod
+    def parse(cls, name: str) -> Symbology:
+        """Return the symbology of a name, in any case; ``Code`` at its end may be left out.
+
+        Parameters
+        ----------
+        name : str
+            As ``QRCode``, ``microqr``, ``data_matrix``.
+
+        Returns
+        -------
+        Symbology
+            That is called so.
+
+        Raises
+        ------
+        ValueError
+            There is none.
+        """
+        wanted = _plain(name)
+        for symbology in cls:
+            if _plain(symbology.value) == wanted:
+                return symbology
+        raise ValueError(f"symbology must be one of {', '.join(cls)}, got {name!r}")
+
+
+def _plain(name: str) -> str:
+    return "".join(filter(str.isalnum, name.lower())).removesuffix("code")
+
+
+class Landmark(str, Enum):
+    """What the search looks for."""
+
+    FINDER_PATTERN = "finder pattern"
+    """squares of 7, 5 and 3 modules in one another: dark, light, dark"""
+
+
+@dataclass(frozen=True)
+class Anchor:
+    """Where a symbol has something that the search looks for.
 
     Attributes
     ----------
-    version                1 to 40
-    size                   r = 17 + 4 version, modules a side
-    known : (r, r) bool    function patterns: fixed by the version
-    values : (r, r) int8   -1 dark, +1 light where known, 0 elsewhere
-    format : (r, r) bool   format information, two copies of 15 bits: level and mask
-    data : (r, r) bool     codewords, and the few remainder bits behind the last
+    kind : Landmark
+        What it is.
+    u, v : float [modules]
+        Its centre, column and row from the outer corner of the top-left module.
     """
 
-    version: int
-    size: int
-    known: NDArray[np.bool_]
-    values: NDArray[np.int8]
-    format: NDArray[np.bool_]
-    data: NDArray[np.bool_]
+    kind: Landmark
+    u: float
+    v: float
 
 
-def size_of(version: int) -> int:
-    """Return the modules a side of a version.
+@dataclass(frozen=True, kw_only=True)
+class CodeSpace:
+    """A kind of symbol in one size; equal where symbology and version are.
+
+    Attributes
+    ----------
+    symbology : Symbology
+        What it is.
+    version : int or str
+        Which size of it: an int for QR codes, text for others.
+    known : (V, U) bool
+        Modules that are the same in all symbols of the kind and size.
+    values : (V, U) int8
+        -1 dark, +1 light where known, 0 elsewhere.
+    anchors : tuple of Anchor
+        What the search looks for.
+    quiet_zone : int [modules]
+        Width of the light margin that the standard asks for.
 
     Raises
     ------
-    ValueError   not a version from 1 to 40
+    ValueError
+        The arrays do not fit together.
     """
-    if not MIN_VERSION <= version <= MAX_VERSION:
-        raise ValueError(f"version must be {MIN_VERSION} to {MAX_VERSION}, got {version}")
-    return 17 + 4 * version
 
+    symbology: Symbology
+    version: Version
+    known: NDArray[np.bool_] = field(compare=False, repr=False)
+    values: NDArray[np.int8] = field(compare=False, repr=False)
+    anchors: tuple[Anchor, ...] = field(compare=False, repr=False)
+    quiet_zone: int = field(compare=False, repr=False)
 
-def version_of(size: int) -> int:
-    """Return the version with so many modules a side.
+    def __post_init__(self) -> None:
+        if self.known.ndim != 2 or self.values.shape != self.known.shape:
+            raise ValueError(
+                f"known and values must have one shape (V, U), got {self.known.shape}, {self.values.shape}"
+            )
+        if ((self.values != 0) != self.known).any():
+            raise ValueError("values must be -1 or +1 where known, and 0 elsewhere")
+        read_only(self.known)
+        read_only(self.values)
 
-    Raises
-    ------
-    ValueError   not a size that a version has: 21, 25, ... 177
-    """
-    version, rest = divmod(size - 17, 4)
-    if rest or not MIN_VERSION <= version <= MAX_VERSION:
-        raise ValueError(
-            f"size must be {size_of(MIN_VERSION)}, {size_of(MIN_VERSION + 1)}, ... {size_of(MAX_VERSION)} "
-            f"(17 + 4 version), got {size}"
-        )
-    return version
+    def __setstate__(self, state: dict[str, Any]) -> None:
+        self.__dict__.update(state)
+        read_only(self.known)  # arrays come out of a pickle writable
+        read_only(self.values)
 
+    def __str__(self) -> str:
+        return f"{self.symbology} {self.version}"
 
-@functools.cache
-def code_space(version: int) -> CodeSpace:
-    """Return the code space of a version, with read-only arrays.
+    @property
+    def rows(self) -> int:
+        """Modules from top to bottom, V."""
+        return self.known.shape[0]
 
-    Raises
-    ------
-    ValueError   not a version from 1 to 40
-    """
-    import segno  # here: it takes 60 ms to import
-    from segno import consts
+    @property
+    def columns(self) -> int:
+        """Modules from left to right, U."""
+        return self.known.shape[1]
 
-    size = size_of(version)
-    symbol = segno.make("0", version=version, error="L", mask=0, boost_error=False, micro=False)
-    kind = np.array(list(symbol.matrix_iter(border=0, verbose=True)))
-    # segno (1.6) counts the data module left of the upper right format bits as one of them.
-    kind[8, size - 9] = consts.TYPE_DATA_LIGHT
-
-    is_format = np.isin(kind, [consts.TYPE_FORMAT_LIGHT, consts.TYPE_FORMAT_DARK])
-    is_data = np.isin(kind, [consts.TYPE_DATA_LIGHT, consts.TYPE_DATA_DARK])
-    known = ~(is_format | is_data)
-    values = np.where(np.array(symbol.matrix, dtype=bool), -1, 1) * known
-    return CodeSpace(
-        version=version,
-        size=size,
-        known=read_only(known),
-        values=read_only(values.astype(np.int8)),
-        format=read_only(is_format),
-        data=read_only(is_data),
-    )
+    @property
+    def size(self) -> int:
+        """Modules of the longer side."""
+        return max(self.known.shape)
 
 
 def read_only(array: NDArray) -> NDArray:

@@ -12,6 +12,7 @@ from evqr.fit.measure import Measure, measure
 from evqr.fit.model import QUIET_MODULES, lattice, profiles
 from evqr.fit.modules import REACH, SUPPORT, Solution
 from evqr.fit.region import region_around
+from evqr.symbol import qr
 from evqr.symbol.decode import Decoded, decode_grid
 
 CONFIG = ReadConfig()
@@ -111,6 +112,6 @@ def test_whole_windows_run_as_one_captured_graph(made, workspace):
         equations = step.equations.read(found.gain[0])
         again = measure(window, velocity, region, pose, 2, LAG_PX, CONFIG, workspace=workspace)
         assert_same(again, found, equations)
-        outcome = decode_grid(solution.read())
+        outcome = decode_grid(solution.read(), qr.space(2))
         assert isinstance(outcome, Decoded)
         assert outcome.text == made.scene.codes[0].text

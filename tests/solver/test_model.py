@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from evqr.fit.model import MOMENTS, QUIET_MODULES, lattice, pose_table, profiles
-from evqr.symbol.space import code_space
+from evqr.symbol import qr
 
 SIGMAS = [0.25, 0.36, 0.5, 0.9]
 
@@ -30,7 +30,7 @@ def rendered(grid, points, sigma):
 
 def known_only(version):
     """The function patterns, with light in place of everything else."""
-    space = code_space(version)
+    space = qr.space(version)
     return np.where(space.known, space.values, 1).astype(np.float64)
 
 
@@ -123,7 +123,7 @@ def test_the_other_columns_say_how_the_slopes_change_when_the_code_moves(version
 @pytest.mark.parametrize("version", [1, 2, 7, 14])
 def test_points_are_those_whose_footprint_is_known(version):
     """All lattice points more than half a module from any unknown module, and no others."""
-    table, space = pose_table(version, 0.36, 2), code_space(version)
+    table, space = pose_table(version, 0.36, 2), qr.space(version)
     axis = lattice(space.size, 2)
     known = np.pad(space.known, QUIET_MODULES + 1, constant_values=True)
     reach = [np.floor(axis + d).astype(int) + QUIET_MODULES + 1 for d in (-0.49, 0.49)]

@@ -12,6 +12,7 @@ from evqr.events.window import make_window
 from evqr.fit.modules import solve_modules
 from evqr.search.motion_estimate import Motion
 from evqr.solver import Sighting, Solver, Unseen
+from evqr.symbol import qr
 from evqr.symbol.decode import Decoded, decode_grid
 
 
@@ -35,7 +36,7 @@ def modules_off(sighting, made, time=None):
 
 def text_of(sighting, solver):
     q = solve_modules(sighting.weighted, solver.config.stage_two, workspace=solver.workspace).q
-    outcome = decode_grid(q)
+    outcome = decode_grid(q, qr.space(sighting.version))
     return outcome.text if isinstance(outcome, Decoded) else None
 
 

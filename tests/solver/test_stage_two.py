@@ -11,7 +11,7 @@ from steps import normal_equations
 from evqr.config import StageOneConfig, StageTwoConfig
 from evqr.fit.align import align, fine_levels
 from evqr.fit.modules import NormalEquations, solve_modules
-from evqr.symbol.space import code_space
+from evqr.symbol import qr
 
 ONE = StageOneConfig()
 CONFIG = StageTwoConfig()
@@ -65,7 +65,7 @@ def random_window(version, seed, workspace):
 @pytest.mark.parametrize("samples", [2, 3])
 def test_equals_the_dense_solution_for_any_image_pose_and_gain(version, samples, workspace):
     cfg = replace(EXACT, samples=samples)
-    space = code_space(version)
+    space = qr.space(version)
     for seed in range(3):
         on_device, image, pose, gain = random_window(version, seed, workspace)
         equations = normal_equations(on_device, pose, gain, version, ONE.sigma, cfg, workspace=workspace)
@@ -125,7 +125,7 @@ def test_modules_are_right_at_the_true_pose(options, wrong, workspace, see):
     """At 0 degrees edges along the motion give no event: those modules follow from their neighbours."""
     seen = see(scene(**options))
     q = solve_modules(equations_of(seen, workspace), CONFIG, workspace=workspace).q
-    unknown = ~code_space(seen.version).known
+    unknown = ~qr.space(seen.version).known
     assert np.mean((q * seen.modules < 0.0)[unknown]) <= wrong
     assert 0.5 < np.median(np.abs(q[unknown])) < 1.5
 
@@ -133,7 +133,7 @@ def test_modules_are_right_at_the_true_pose(options, wrong, workspace, see):
 def test_known_modules_keep_their_values(workspace, see):
     seen = see(scene())
     estimate = solve_modules(equations_of(seen, workspace), CONFIG, workspace=workspace)
-    space = code_space(2)
+    space = qr.space(2)
     np.testing.assert_allclose(estimate.q[space.known], space.values[space.known], atol=1e-6)
     assert estimate.q.shape == (25, 25)
     assert estimate.q.dtype == np.float32
@@ -148,7 +148,7 @@ def test_without_events_the_unknown_modules_are_grey(workspace, see):
     estimate = solve_modules(
         NormalEquations(2, 0 * strong.stencil, 0 * strong.rhs), CONFIG, workspace=workspace
     )
-    np.testing.assert_allclose(estimate.q[~code_space(2).known], 0.0, atol=1e-4)
+    np.testing.assert_allclose(estimate.q[~qr.space(2).known], 0.0, atol=1e-4)
 
 
 # ---- invariances
@@ -175,7 +175,7 @@ def test_less_noise_means_less_damping_within_bounds(workspace, see):
     ]
     np.testing.assert_allclose(solved[1], solved[0], atol=1e-3)
     np.testing.assert_allclose(solved[3], solved[2], atol=1e-3)
-    unknown = ~code_space(2).known
+    unknown = ~qr.space(2).known
     assert np.abs(solved[0][unknown]).mean() > 1.2 * np.abs(solved[3][unknown]).mean()
 
 
@@ -184,7 +184,7 @@ def test_less_noise_means_less_damping_within_bounds(workspace, see):
 
 def _row_of_runs():
     """Equations of a code that moves along its rows, without noise: long dark runs between light modules."""
-    space = code_space(2)
+    space = qr.space(2)
     rng = np.random.default_rng(5)
     modules = np.where(rng.random((25, 25)) < 0.5, -1, 1)
     modules[10] = [-1 if c == "#" else 1 for c in "#.#.#######.#######.####."]

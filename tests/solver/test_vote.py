@@ -10,12 +10,12 @@ from evqr.config import StageOneConfig, StageTwoConfig, Vote
 from evqr.fit.align import align, fine_levels
 from evqr.fit.fusion import Tally
 from evqr.fit.modules import solve_modules
-from evqr.symbol.space import code_space
+from evqr.symbol import qr
 
 ONE = StageOneConfig()
 CONFIG = StageTwoConfig()
 EXACT = StageTwoConfig(passes=1, damping_range=(0.1, 0.1), tolerance=1e-6, max_iterations=500)
-UNKNOWN = ~code_space(2).known
+UNKNOWN = ~qr.space(2).known
 
 
 @pytest.fixture(scope="module")
@@ -60,7 +60,7 @@ def test_information_of_two_windows_is_the_dense_solution_of_both(windows, works
         systems.append(
             (*dense.system(image, seen.in_cells, gain, 25, ONE.sigma, CONFIG.samples), 1.0 / variance)
         )
-    space = code_space(2)
+    space = qr.space(2)
     exact = dense.solve(systems, space.known, space.values, EXACT.damping_range[0])
     np.testing.assert_allclose(estimate.q, exact, atol=0.015)  # the tolerance of test_stage_two.py
     assert tally.windows == 2

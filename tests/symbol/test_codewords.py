@@ -6,8 +6,7 @@ import reedsolo
 import segno
 from segno import consts
 
-from evqr.symbol.qr_codewords import LEVELS, codeword_layout, format_words, mask_signs, symbol_of
-from evqr.symbol.space import code_space
+from evqr.symbol.qr_codewords import LEVELS, codeword_layout, format_words, mask_signs, roles_of, symbol_of
 
 
 def make(version, level, mask, text="evqr"):
@@ -51,7 +50,7 @@ def test_format_words_are_those_in_the_symbols(version):
     assert len(set(words.meaning)) == 32
     for word, (level, mask) in list(zip(words.signs, words.meaning, strict=True))[::5]:
         grid = make(version, level, mask)
-        np.testing.assert_array_equal(word, grid[code_space(version).format])
+        np.testing.assert_array_equal(word, grid[roles_of(version).format])
         np.testing.assert_array_equal(word, grid.ravel()[words.at])
     apart = (words.signs[:, None] != words.signs).sum(-1)[~np.eye(32, dtype=bool)]
     assert apart.min() >= 10  # two copies of a word that differs in five bits or more
@@ -59,7 +58,7 @@ def test_format_words_are_those_in_the_symbols(version):
 
 def test_masks_leave_all_but_data_alone():
     signs = mask_signs(3).reshape(8, 29, 29)
-    data = code_space(3).data
+    data = roles_of(3).data
     assert (signs[:, ~data] == 1).all()
     assert all(0.3 < (sign[data] < 0).mean() < 0.7 for sign in signs)
     np.testing.assert_array_equal(signs[0][data] < 0, (np.indices((29, 29)).sum(0) % 2 == 0)[data])

@@ -10,9 +10,15 @@ import zxingcpp
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from evqr.symbol.decode import DecodeConfig, Decoded, DecodeFailure, decode_grid
-from evqr.symbol.qr_codewords import LEVELS, codeword_layout, format_words, mask_signs, symbol_of
-from evqr.symbol.space import code_space
+from evqr.reason import Reason
+from evqr.symbol import qr
+from evqr.symbol.decode import DecodeConfig, Decoded, DecodeFailure
+from evqr.symbol.decode import decode_grid as decode_space
+from evqr.symbol.qr_codewords import LEVELS, codeword_layout, format_words, mask_signs, roles_of, symbol_of
+
+
+def decode_grid(q, **options):
+    return decode_space(q, qr.space(qr.version_of(len(q))), **options)
 
 
 def grid_of(symbol):
@@ -38,7 +44,7 @@ def spoil(q, version, level, n_wrong, rng, n_bits=2, strength=1.0):
         bits = layout.bits[block.bits].reshape(n, 8)
         for codeword in rng.choice(n, n_wrong, replace=False):
             q[bits[codeword, rng.choice(8, n_bits, replace=False)]] *= -strength
-    side = code_space(version).size
+    side = qr.size_of(version)
     return q.reshape(side, side)
 
 
@@ -111,8 +117,7 @@ def test_full_effort_reads_more_than_quick_and_quick_more_than_plain():
     plain, read = 0, {"quick": 0, "full": 0}
     for _ in range(60):
         q = grid + rng.normal(0.0, 0.64, grid.shape)
-        space = code_space(2)
-        plain += zxing_reads(np.where(space.data, q, grid))
+        plain += zxing_reads(np.where(roles_of(2).data, q, grid))
         for effort in read:
             result = decode_grid(q, effort=effort)
             read[effort] += isinstance(result, Decoded) and result.text == "EVQR-0001"
@@ -167,7 +172,7 @@ def test_format_with_three_flips_a_copy(seed):
     level, mask = LEVELS[seed % 4], seed
     grid = make("EVQR", 2, level, mask)
     # The copies by place: the 15 modules around the upper left finder pattern, and the others.
-    rows, columns = np.nonzero(code_space(2).format)
+    rows, columns = np.nonzero(roles_of(2).format)
     first = (rows < 9) & (columns < 9)
     assert first.sum() == 15
     q = noisy(grid, rng)
@@ -184,10 +189,10 @@ def test_second_candidate_of_the_format_is_tried():
     words = format_words(2).signs
     grid = make("EVQR", 2, "M", 5)
     q = grid.astype(float)
-    true = grid[code_space(2).format]
+    true = grid[roles_of(2).format]
     other = words[np.argsort(-(words @ true), kind="stable")[1]]
     # What the words agree in stays; of the rest, a little more speaks for the wrong one.
-    q[code_space(2).format] = np.where(true == other, true, 0.05 * other)
+    q[roles_of(2).format] = np.where(true == other, true, 0.05 * other)
     result = decode_grid(q)
     assert isinstance(result, Decoded)
     assert (result.text, result.ec_level, result.mask) == ("EVQR", "M", 5)
@@ -196,7 +201,7 @@ def test_second_candidate_of_the_format_is_tried():
 def test_function_patterns_of_the_estimate_are_not_needed():
     grid = make("EVQR", 7, "Q")
     q = grid.astype(np.float32)
-    q[code_space(7).known] = -5.0
+    q[roles_of(7).known] = -5.0
     assert isinstance(decode_grid(q), Decoded)
 
 
@@ -230,27 +235,27 @@ def test_threads_decode_alike():
 def failure(q, **options):
     result = decode_grid(q, **options)
     assert isinstance(result, DecodeFailure), result
-    assert "\n" not in result.reason
+    assert "\n" not in str(result)
     return result
 
 
 def test_unreadable_format_information():
     q = make("EVQR", 2, "M").astype(float)
-    q[code_space(2).format] = 0.0
+    q[roles_of(2).format] = 0.0
     result = failure(q)
-    assert result.reason.startswith("format information unreadable")
-    assert (result.version, result.ec_level, result.mask) == (2, None, None)
+    assert result.reason is Reason.FORMAT_UNREADABLE
+    assert (result.space.version, result.ec_level, result.mask) == (2, None, None)
 
 
 def test_too_many_errors():
     rng = np.random.default_rng(0)
     q = spoil(np.sign(make("EVQR", 4, "H")), 4, "H", 12, rng, n_bits=4)
     result = failure(q)
-    assert result.reason == (
+    assert str(result) == (
         "error correction failed: too many of 25 codewords wrong for 16 check codewords "
         "(level H, mask 3, block 4 of 4)"
     )
-    assert (result.version, result.ec_level, result.mask) == (4, "H", 3)
+    assert (result.space.version, result.ec_level, result.mask) == (4, "H", 3)
 
 
 def test_correction_that_may_be_chance():
@@ -260,8 +265,8 @@ def test_correction_that_may_be_chance():
     q = spoil(grid, 1, "L", 3, rng, n_bits=3)
     assert zxing_reads(q)
     result = failure(q)
-    assert result.reason.startswith("possibly chance: 10^-")
-    assert "(level L, mask 3, block 1 of 1)" in result.reason
+    assert str(result).startswith("possibly chance: 10^-")
+    assert "(level L, mask 3, block 1 of 1)" in str(result)
 
 
 def test_doubtful_modules_may_be_wrong_where_certain_ones_may_not():
@@ -299,7 +304,7 @@ def test_data_that_is_no_payload(start):
     data = bytes([start]) + bytes(15)
     codewords = codeword_layout(2, "H").blocks[0].code.encode(np.frombuffer(data, np.uint8))
     result = failure(symbol_of(codewords, 2, "H", 4))
-    assert result.reason == "error correction succeeded, but the data is empty or malformed (level H, mask 4)"
+    assert str(result) == "error correction succeeded, but the data is empty or malformed: level H, mask 4"
 
 
 # ---- what is not there
@@ -307,15 +312,15 @@ def test_data_that_is_no_payload(start):
 
 def random_grids(version, n, rng):
     """Random signs, every other one with the function patterns and format information of a symbol."""
-    space = code_space(version)
+    roles = roles_of(version)
     for number in range(n):
-        q = rng.normal(0.0, 1.0, (space.size, space.size))
+        q = rng.normal(0.0, 1.0, roles.known.shape)
         if number % 3 == 0:
             q = np.sign(q)
         if number % 2:
             words = format_words(version).signs
-            q[space.known] = space.values[space.known]
-            q[space.format] = words[rng.integers(32)]
+            q[roles.known] = roles.values[roles.known]
+            q[roles.format] = words[rng.integers(32)]
         yield q
 
 
@@ -365,9 +370,9 @@ def test_noise_over_symbols_gives_the_right_text_or_none():
 @pytest.mark.parametrize("version", [1, 2, 4, 7, 10])
 def test_textures_are_no_symbols(version):
     """Stripes, checks and plain areas, those that equal a mask among them, whatever the format says."""
-    space = code_space(version)
-    rows, columns = np.indices((space.size, space.size))
-    masks = mask_signs(version).reshape(8, space.size, space.size)
+    roles = roles_of(version)
+    rows, columns = np.indices(roles.known.shape)
+    masks = mask_signs(version).reshape(8, *roles.known.shape)
     textures = [
         *masks,
         np.ones_like(rows),
@@ -378,7 +383,7 @@ def test_textures_are_no_symbols(version):
         for word in words[::3]:
             for sign in (1, -1):
                 q = sign * texture.astype(float)
-                q[space.format] = word
+                q[roles.format] = word
                 failure(q)
         failure(texture.astype(float))
 
@@ -386,7 +391,7 @@ def test_textures_are_no_symbols(version):
 def test_a_grid_without_information():
     failure(np.zeros((25, 25)))
     q = make("EVQR", 2, "M").astype(float)
-    q[code_space(2).data] = 0.0
+    q[roles_of(2).data] = 0.0
     for effort in ("quick", "full"):
         failure(q, effort=effort)
 
@@ -397,15 +402,14 @@ def test_a_grid_without_information():
 @pytest.mark.parametrize(
     ("q", "message"),
     [
-        (np.zeros((25, 21)), r"q must have shape \(r, r\), got \(25, 21\)"),
-        (np.zeros(625), r"q must have shape \(r, r\), got \(625,\)"),
-        (np.zeros((24, 24)), "got 24"),
+        (np.zeros((25, 21)), r"q must have shape \(25, 25\) for QRCode 2, got \(25, 21\)"),
+        (np.zeros(625), r"q must have shape \(25, 25\) for QRCode 2, got \(625,\)"),
         (np.full((25, 25), np.nan), "q must be finite"),
     ],
 )
 def test_grids_that_are_none(q, message):
     with pytest.raises(ValueError, match=message):
-        decode_grid(q)
+        decode_space(q, qr.space(2))
 
 
 def test_unknown_effort():

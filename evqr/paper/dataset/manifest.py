@@ -27,7 +27,7 @@ from evqr.events.array import EventArray
 from evqr.events.window import Window, make_window
 from evqr.paper.dataset.truth import Truth
 from evqr.recording import open_recording
-from evqr.symbol.space import code_space, size_of
+from evqr.symbol import qr
 
 if TYPE_CHECKING:
     from evqr.recording import TimeUnit
@@ -75,7 +75,7 @@ class Entry:
     def _truth(self) -> Truth:
         import segno
 
-        space = code_space(self.version)
+        space = qr.space(self.version)
         if self.modules is not None:
             dark = np.array([[mark == "1" for mark in row] for row in self.modules])
         else:
@@ -197,7 +197,7 @@ def _entry(path: Path, scene: dict[str, Any]) -> Entry:
             scene = {**scene, field: tuple(scene[field])}
     try:
         entry = Entry(**scene)
-        size = size_of(entry.version)
+        size = qr.size_of(entry.version)
     except (TypeError, ValueError) as error:
         raise UsageError(f"{where} is not complete: {error}") from error
     if entry.modules is not None and [len(row) for row in entry.modules] != [size] * size:

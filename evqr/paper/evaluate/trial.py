@@ -15,6 +15,7 @@ from evqr.paper.evaluate.metrics import FEW_WRONG, Trial, bit_accuracy, wrong_co
 from evqr.paper.methods.integrate import decode, stretch
 from evqr.paper.methods.method import Method, Outcome, cut
 from evqr.paper.methods.pattern import find_code
+from evqr.symbol import qr
 from evqr.symbol.decode import Decoded, decode_grid
 from evqr.symbol.qr_codewords import ErrorLevel, codeword_layout
 
@@ -104,7 +105,7 @@ def signs(modules: NDArray[Any]) -> Modules:
 
 def text_of(modules: NDArray[Any]) -> str | None:
     """Text of modules, with all the effort that the decoder can make; the same for every method."""
-    outcome = decode_grid(modules, effort="full")
+    outcome = decode_grid(modules, qr.space(qr.version_of(len(modules))), effort="full")
     return outcome.text if isinstance(outcome, Decoded) else None
 
 

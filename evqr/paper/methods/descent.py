@@ -49,8 +49,8 @@ from evqr.paper.methods.start import find_pose, principal_motion
 from evqr.search.finder import find_hypotheses
 from evqr.search.screen import screen
 from evqr.solver import Solver, StageClock
+from evqr.symbol import qr
 from evqr.symbol.decode import Decoded, decode_grid
-from evqr.symbol.space import code_space, size_of
 from evqr.workspace import Workspace
 from evqr_kernels.config import SplatConfig
 
@@ -150,7 +150,7 @@ class Descent:
         problem = Problem(seen, velocity, pose, self.version, cfg.epsilon_px, workspace=workspace)
         motion, affine, pose_iterations = descend_pose(problem, cfg)
         q, iterations = descend_code(problem, motion, affine, cfg, watch)
-        outcome = decode_grid(q, effort="full")
+        outcome = decode_grid(q, qr.space(self.version), effort="full")
         return Outcome(
             modules=q,
             pose=problem.pose_of(affine),
@@ -186,7 +186,7 @@ class Descent:
             return None
         candidates, _ = screen(guesses, found.pyramid, solver.config.stage_one, workspace=workspace)
         # which triple is the code is known from its refined pose; the descent starts from the pose as found
-        size = size_of(self.version)
+        size = qr.size_of(self.version)
         refined = outline(candidates[0].pose, size)
         pose = min((h.pose for h in guesses), key=lambda p: float(np.abs(outline(p, size) - refined).max()))
         return motion.velocity, pose
@@ -215,7 +215,7 @@ def read_window(
     with clock("stage_two"):
         q, code_iterations = descend_code(problem, motion, affine, cfg)
     with clock("decode"):
-        outcome = decode_grid(q)
+        outcome = decode_grid(q, qr.space(version))
     return DescentReading(
         text=outcome.text if isinstance(outcome, Decoded) else None,
         q=q,
@@ -300,8 +300,8 @@ class Problem:
     ) -> None:
         self._workspace, self._dtype = workspace, np.dtype(dtype)
         self._splat_cfg = SplatConfig(epsilon_px=epsilon_px)
-        size = size_of(version)
-        space = code_space(version)
+        size = qr.size_of(version)
+        space = qr.space(version)
         self.known_grid = np.pad(space.values.astype(self._dtype), QUIET_MODULES, constant_values=1)
         self.free = np.pad(~space.known, QUIET_MODULES)
 

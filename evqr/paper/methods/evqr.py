@@ -10,6 +10,7 @@ from evqr.events.window import Window
 from evqr.fit.fusion import Tally
 from evqr.paper.methods.method import Outcome, Watch, cut
 from evqr.solver import Sighting, Solver
+from evqr.symbol import qr
 from evqr.symbol.decode import Decoded, decode_grid
 
 
@@ -45,7 +46,7 @@ class Own:
             estimate = tally.add(sighting.equations, sighting.noise)
             iterations += estimate.iterations
             watch(iterations, estimate.q, False)
-            decoded = decode_grid(estimate.q, effort="full")
+            decoded = decode_grid(estimate.q, qr.space(sighting.version), effort="full")
             read = isinstance(decoded, Decoded)
             best = Outcome(
                 modules=estimate.q,

@@ -17,7 +17,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from evqr.symbol.space import code_space
+from evqr.symbol import qr
 
 Image = NDArray[np.float32]
 
@@ -69,7 +69,7 @@ def find_code(image: NDArray[Any], version: int) -> NDArray[np.float32] | None:
     response, module, position = find_patterns(image)
     best, agreement = None, MIN_AGREEMENT
     for pose in triples_of(response, module, position, version):
-        values = _sample(image, pose, code_space(version).size)
+        values = _sample(image, pose, qr.space(version).size)
         if values is None:
             continue
         found = _agreement(values, version)
@@ -229,7 +229,7 @@ def _sample(image: Image, pose: NDArray[np.float64], size: int) -> NDArray[np.fl
 
 def _agreement(values: NDArray[np.float32], version: int) -> float:
     """Correlation with the known modules."""
-    space = code_space(version)
+    space = qr.space(version)
     seen, true = values[space.known], space.values[space.known].astype(np.float32)
     seen, true = seen - seen.mean(), true - true.mean()
     return float(seen @ true / max(float(np.sqrt((seen @ seen) * (true @ true))), 1e-12))
@@ -237,6 +237,6 @@ def _agreement(values: NDArray[np.float32], version: int) -> float:
 
 def _levelled(values: NDArray[np.float32], version: int) -> NDArray[np.float32]:
     """Less the threshold, half way between known dark and known light."""
-    space = code_space(version)
+    space = qr.space(version)
     dark, light = (float(values[space.known & (space.values == sign)].mean()) for sign in (-1, 1))
     return values - np.float32(0.5 * (dark + light))

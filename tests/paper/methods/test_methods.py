@@ -14,6 +14,7 @@ from evqr.paper.methods.method import cut, unwatched
 from evqr.paper.methods.pattern import find_code
 from evqr.paper.methods.without_qr import WithoutQr, WithoutQrConfig, descend
 from evqr.simulate import simulate
+from evqr.symbol import qr
 from evqr.symbol.decode import Decoded, decode_grid
 
 TEXT, VERSION, SPEED_PX_MS = "METHODS", 2, 5.0
@@ -37,7 +38,7 @@ def true_modules(recording):
 
 
 def text_of(modules):
-    outcome = decode_grid(modules, effort="full")
+    outcome = decode_grid(modules, qr.space(qr.version_of(len(modules))), effort="full")
     return outcome.text if isinstance(outcome, Decoded) else None
 
 

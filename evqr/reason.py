@@ -1,0 +1,55 @@
+"""Why nothing was found or read: a closed set for programs, each with a text for people."""
+
+from __future__ import annotations
+
+from enum import Enum
+
+
+class Reason(str, Enum):
+    """Why there is no reading; the value is its code, as ``reason_code`` in records.
+
+    Attributes
+    ----------
+    text : str
+        The same in words.
+    """
+
+    text: str
+
+    NO_EVENTS = "no_events", "no events"
+    SOURCE_ERROR = "source_error", "the source cannot be read"
+    RECORDING_ENDS = "recording_ends", "the recording ends"
+    TOO_FEW_EVENTS = "too_few_events", "too few events"
+    NOTHING_MOVES = "nothing_moves", "nothing moves"
+    NO_FINDER_PATTERNS = "no_finder_patterns", "no finder patterns that fit together"
+    DISAGREES = "disagrees", "what comes closest agrees too little with a code"
+    NOT_DECODED = "not_decoded", "a code was followed but does not decode"
+    FORMAT_UNREADABLE = "format_unreadable", "format information unreadable"
+    TOO_MANY_ERRORS = "too_many_errors", "error correction failed"
+    POSSIBLY_CHANCE = "possibly_chance", "possibly chance"
+    NO_CONTENT = "no_content", "error correction succeeded, but the data is empty or malformed"
+
+    def __new__(cls, code: str, text: str) -> Reason:
+        """Make a member of its code and its text."""
+        member = str.__new__(cls, code)
+        member._value_ = code
+        member.text = text
+        return member
+
+    def __str__(self) -> str:
+        return self.value
+
+    def explained(self, detail: str = "") -> str:
+        """Return the text, followed by what it was in one case.
+
+        Parameters
+        ----------
+        detail : str
+            In words; nothing is added where it is empty.
+
+        Returns
+        -------
+        str
+            One line.
+        """
+        return f"{self.text}: {detail}" if detail else self.text

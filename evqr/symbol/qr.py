@@ -1,0 +1,74 @@
+"""QR codes (ISO/IEC 18004): their sizes, and the modules that all symbols of a size share.
+
+The version alone fixes the function patterns: finders, separators, timing, alignment, the dark module and
+version information.  All of it comes from segno, so that the standard's tables are not repeated here.
+"""
+
+from __future__ import annotations
+
+import functools
+from collections.abc import Mapping
+from types import MappingProxyType
+
+from evqr.symbol.qr_codewords import roles_of
+from evqr.symbol.space import Anchor, CodeSpace, Landmark, Symbology
+
+MIN_VERSION = 1
+MAX_VERSION = 40
+QUIET_ZONE = 4
+SIZES: Mapping[int, tuple[int, int]] = MappingProxyType(
+    {version: (17 + 4 * version, 17 + 4 * version) for version in range(MIN_VERSION, MAX_VERSION + 1)}
+)
+
+
+def size_of(version: int) -> int:
+    """Return the modules a side of a version.
+
+    Raises
+    ------
+    ValueError
+        Not a version from 1 to 40.
+    """
+    if version not in SIZES:
+        raise ValueError(f"version must be {MIN_VERSION} to {MAX_VERSION}, got {version}")
+    return SIZES[version][0]
+
+
+def version_of(size: int) -> int:
+    """Return the version with so many modules a side.
+
+    Raises
+    ------
+    ValueError
+        Not a size that a version has: 21, 25, ... 177.
+    """
+    version, rest = divmod(size - 17, 4)
+    if rest or not MIN_VERSION <= version <= MAX_VERSION:
+        raise ValueError(
+            f"size must be {size_of(MIN_VERSION)}, {size_of(MIN_VERSION + 1)}, ... {size_of(MAX_VERSION)} "
+            f"(17 + 4 version), got {size}"
+        )
+    return version
+
+
+@functools.cache
+def space(version: int) -> CodeSpace:
+    """Return the code space of a version.
+
+    Raises
+    ------
+    ValueError
+        Not a version from 1 to 40.
+    """
+    size, roles = size_of(version), roles_of(version)
+    near, far = 3.5, size - 3.5
+    return CodeSpace(
+        symbology=Symbology.QR_CODE,
+        version=version,
+        known=roles.known,
+        values=roles.values,
+        anchors=tuple(
+            Anchor(Landmark.FINDER_PATTERN, u, v) for u, v in ((near, near), (far, near), (near, far))
+        ),
+        quiet_zone=QUIET_ZONE,
+    )

@@ -1,0 +1,63 @@
+"""The table of symbols: what can be read, one line a symbology.
+
+To add one, write its file, and its line here.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+from types import MappingProxyType
+from typing import Any
+
+from evqr.symbol import micro_qr, qr
+from evqr.symbol.space import CodeSpace, Symbology, Version
+
+
+@dataclass(frozen=True, kw_only=True)
+class Symbol:
+    """A symbology that can be read.
+
+    Attributes
+    ----------
+    sizes : mapping of version to (int, int) [modules]
+        Rows and columns of every version, the smallest first; known without loading anything.
+    space : callable
+        Gives the code space of a version.
+    """
+
+    sizes: Mapping[Any, tuple[int, int]]
+    space: Callable[[Any], CodeSpace]
+
+
+SYMBOLS: Mapping[Symbology, Symbol] = MappingProxyType(
+    {
+        Symbology.QR_CODE: Symbol(sizes=qr.SIZES, space=qr.space),
+        Symbology.MICRO_QR_CODE: Symbol(sizes=micro_qr.SIZES, space=micro_qr.space),
+    }
+)
+
+
+def space_of(symbology: Symbology, version: Version) -> CodeSpace:
+    """Return a code space.
+
+    Parameters
+    ----------
+    symbology : Symbology
+        One that can be read.
+    version : int or str
+        One that it has.
+
+    Returns
+    -------
+    CodeSpace
+        Shared by all who ask.
+
+    Raises
+    ------
+    ValueError
+        It cannot be read, or has no such version.
+    """
+    if symbology not in SYMBOLS:
+        raise ValueError(f"symbology must be one of {', '.join(SYMBOLS)}, got {symbology}")
+    return SYMBOLS[symbology].space(version)
