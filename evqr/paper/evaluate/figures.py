@@ -19,10 +19,10 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
 COLOURS = (
-    "#868e96", "#e8590c", "#2f9e44", "#1971c2", "#c2255c",
+    "#868e96", "#e8590c", "#ffc078", "#2f9e44", "#1971c2", "#c2255c",
     "#f783ac", "#9c36b5", "#495057", "#f08c00", "#0b7285",
 )  # fmt: skip
-MARKERS = "osD^vX*P<>"
+MARKERS = "oshD^vX*P<>"
 """Of the methods, in the order of the table."""
 
 CONFIDENCE_BOUNDS = (0.0, 0.9, 0.99, 0.999, 1.0 - 1e-4, 1.0 - 1e-6, 1.0 - 1e-9, 1.0)

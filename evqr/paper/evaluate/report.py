@@ -40,8 +40,8 @@ compare rows within one column.
 - *Ours (the paper's)* starts from principal components and 1:1:3:1:1 as the paper does, and from our motion
   and finder patterns where those find nothing; *Image*, *Bardow*, *w/o QR* are matched by a finder that
   checks known modules, which the paper's did not: all to the rivals' favour. Against them: *Bardow* runs at
-  half the resolution, from zero, for at most 60 iterations; and the tolerances by which it and *w/o QR* end
-  are ours.
+  half the resolution unless the row says full, from zero, for at most 60 iterations; and the tolerances by
+  which it and *w/o QR* end are ours.
 - evqr is told neither version nor motion, nor anything of the sensor; *Image*, *Bardow*, *w/o QR* and *Ours
   (the paper's)* are told the version.
 """

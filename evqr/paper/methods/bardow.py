@@ -65,18 +65,29 @@ class Bardow:
 
     Parameters
     ----------
-    cfg
-    iterations   in place of the configuration's ``max_iterations``
-    device       of Warp: "cpu", "cuda:0", ...
+    cfg : BardowConfig, optional
+        Settings.
+    reduction : int, optional
+        In place of the configuration's [px].
+    iterations : int, optional
+        In place of the configuration's ``max_iterations``.
+    device : str
+        Of Warp: "cpu", "cuda:0", ...
     """
 
     takes: Literal["events"] = "events"
     matched = True
 
     def __init__(
-        self, cfg: BardowConfig | None = None, *, iterations: int | None = None, device: str = "cpu"
+        self,
+        cfg: BardowConfig | None = None,
+        *,
+        reduction: int | None = None,
+        iterations: int | None = None,
+        device: str = "cpu",
     ) -> None:
         cfg = cfg or BardowConfig()
+        cfg = cfg if reduction is None else replace(cfg, reduction=reduction)
         self.cfg = cfg if iterations is None else replace(cfg, max_iterations=iterations)
         self.windows = self.cfg.slices
         self._device = device

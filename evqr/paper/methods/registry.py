@@ -23,6 +23,7 @@ class Row:
     quick          options more, where a try is enough
     told_version   whether the class is told the version of the code, too
     revision       raised when the method gives other results: its older cells are then computed again
+    by_name        whether it is run only where it is asked for by its name
     """
 
     title: str
@@ -31,6 +32,7 @@ class Row:
     quick: Mapping[str, Any] = field(default_factory=dict)
     told_version: bool = False
     revision: int = 0
+    by_name: bool = False
 
 
 METHODS: Mapping[str, Row] = MappingProxyType(
@@ -38,6 +40,14 @@ METHODS: Mapping[str, Row] = MappingProxyType(
         "image": Row(title="Image", target="evqr.paper.methods.camera:Camera"),
         "bardow": Row(
             title="Bardow et al.", target="evqr.paper.methods.bardow:Bardow", quick={"iterations": 12}
+        ),
+        # what half the resolution costs; 4 GB of memory, and some minutes a trial
+        "bardow_full": Row(
+            title="Bardow et al., full resolution",
+            target="evqr.paper.methods.bardow:Bardow",
+            options={"reduction": 1},
+            quick={"iterations": 12},
+            by_name=True,
         ),
         "without_qr": Row(title="w/o QR", target="evqr.paper.methods.without_qr:WithoutQr"),
         "descent": Row(

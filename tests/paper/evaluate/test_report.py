@@ -215,6 +215,18 @@ def test_table1_from_the_command_line(tiny, tmp_path):
     ]  # fmt: skip
 
 
+def test_a_method_that_takes_long_is_run_only_by_its_name(tiny, tmp_path, monkeypatch):
+    from evqr.paper import cli as commands
+
+    few = {name: commands.METHODS[name] for name in ("image", "bardow_full")}
+    monkeypatch.setattr(commands, "METHODS", few)
+    for options, methods in ([], {"image"}), (["--methods", "bardow_full"], {"bardow_full"}):
+        done = run("table1", "--dataset", tiny, "--out", tmp_path, "--no-sweep", *options)
+        assert done.exception is None, done.exception
+        lines = json.loads((tmp_path / "table1.json").read_text())["lines"]
+        assert {line["method"] for line in lines} == methods
+
+
 def test_the_sweep_from_the_command_line(tiny, tmp_path):
     options = ["--methods", "integrate", "--trials", "1", "--sweep"]
     done = run("table1", "--dataset", tiny, "--out", tmp_path, *options)

@@ -9,6 +9,7 @@ from evqr.events.array import EventArray
 from evqr.events.window import make_window
 from evqr.paper.methods.bardow import Bardow, BardowConfig, Volume
 from evqr.paper.methods.pattern import find_code
+from evqr.paper.methods.registry import make_method
 from evqr.simulate import simulate
 
 SMALL = BardowConfig(slices=8, reduction=1)
@@ -110,3 +111,8 @@ def test_a_code_shows_in_the_middle_slice():
     modules = find_code(outcome.image, 1)
     true = np.where(made.truth["truth"]["modules"] > 0, -1, 1)
     assert modules is not None and np.mean(np.sign(modules) == true) > 0.95
+
+
+def test_the_row_at_full_resolution_differs_in_that_alone():
+    half, full = (make_method(name, 2).cfg for name in ("bardow", "bardow_full"))
+    assert (half.reduction, full.reduction) == (2, 1) and replace(half, reduction=1) == full
