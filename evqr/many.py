@@ -9,6 +9,7 @@ from os import PathLike, fsdecode
 from typing import TYPE_CHECKING, Any
 
 from evqr.errors import EvqrError
+from evqr.reason import Reason
 from evqr.results import ReadResult, ReadStatus
 
 if TYPE_CHECKING:
@@ -82,7 +83,8 @@ def _read_one(source: Any, **options: Any) -> ReadResult:
 def _failed(name: str, error: Exception) -> ReadResult:
     # The messages of our own errors are complete; of any other, the kind is part of the message.
     reason = str(error) if isinstance(error, EvqrError) else f"{type(error).__name__}: {error}"
-    return ReadResult(ReadStatus.ERROR, " ".join(reason.split()), (), {}, {}, name)
+    code = error.reason if isinstance(error, EvqrError) else Reason.FAILED
+    return ReadResult(ReadStatus.ERROR, " ".join(reason.split()), source=name, reason_code=code)
 
 
 def _name(source: Any) -> str:

@@ -12,15 +12,15 @@ from dataclasses import dataclass
 from queue import SimpleQueue
 from typing import TYPE_CHECKING, Any
 
-from evqr.fit.modules import solve_modules
+from evqr.fit.modules import CodeEstimate, solve_modules
 from evqr.geometry import affine_to_code
 from evqr.recording import Recording, open_recording
-from evqr.results import ReadResult, ReadStatus, WindowReading
+from evqr.results import ReadResult, ReadStatus, Statistics, WindowCode, WindowReading
 from evqr.solver import Sighting, Solver, StageClock, Unseen
 from evqr.stream.feed import Feed
 from evqr.stream.scheduler import Passes, Progress
 from evqr.symbol import qr
-from evqr.symbol.decode import Decoded, decode_grid
+from evqr.symbol.decode import Decoded, DecodeFailure, decode_grid
 
 if TYPE_CHECKING:
     from evqr.config import ReadConfig
@@ -73,7 +73,15 @@ def read_codes(
     compute = {**passes.clock.ms, "total": 1e3 * (time.perf_counter() - started)}
     readings = tuple(sorted(passes.readings, key=lambda r: r.t_read_us))
     status = ReadStatus.READ if readings else ReadStatus.NO_READ
-    return ReadResult(status, "" if readings else passes.why_nothing(), readings, seen, compute, path)
+    return ReadResult(
+        status,
+        "" if readings else passes.why_nothing(),
+        readings,
+        Statistics(**seen),
+        compute,
+        path,
+        warnings=recording.notes,
+    )
 
 
 def _open(
@@ -208,33 +216,44 @@ def _read_alone(start: _Start, events: Feed, solver: Solver) -> WindowReading:
         motion = solver.motion_in(window)
     unmoved = Unseen("nothing moves, or too few events")
     sighting = unmoved if motion is None else solver.look(window, motion)
-    text, q, solved = None, None, 0
+    codes = ()
     if isinstance(sighting, Unseen):
         reason = sighting.reason
     else:
         with solver.clock("stage_two"):
             estimate = solve_modules(sighting.weighted, solver.config.stage_two, workspace=solver.workspace)
-            q, solved = estimate.q, estimate.iterations
         with solver.clock("decode"):
-            outcome = decode_grid(q, qr.space(sighting.version), effort="full")
-        if isinstance(outcome, Decoded):
-            status, text = ReadStatus.READ, outcome.text
-        else:
-            status, reason = ReadStatus.NO_READ, str(outcome)
-    found = sighting if isinstance(sighting, Sighting) else None
+            outcome = decode_grid(estimate.q, qr.space(sighting.version), effort="full")
+        codes = (_window_code(sighting, estimate, outcome),)
+        status, reason = codes[0].status, codes[0].reason
     return WindowReading(
         status=status,
         reason=reason,
+        reason_code=codes[0].reason_code if codes else None,
         window=start.index,
         t_start_us=window.start_us,
         t_end_us=window.end_us,
         n_events=len(window),
-        text=text,
-        version=found.version if found else None,
-        modules=q,
-        motion_px_per_s=found.velocity if found else None,
-        affine=affine_to_code(found.pose, found.size) if found else None,
-        stage_one_iterations=found.iterations if found else 0,
-        stage_two_iterations=solved,
+        codes=codes,
         compute_ms=solver.clock.total(),
+    )
+
+
+def _window_code(seen: Sighting, estimate: CodeEstimate, outcome: Decoded | DecodeFailure) -> WindowCode:
+    read = isinstance(outcome, Decoded)
+    return WindowCode(
+        status=ReadStatus.READ if read else ReadStatus.NO_READ,
+        reason="" if read else str(outcome),
+        reason_code=None if read else outcome.reason,
+        text=outcome.text if read else None,
+        symbology=outcome.space.symbology.value,
+        version=outcome.space.version,
+        ec_level=outcome.ec_level if read else None,
+        mask=outcome.mask if read else None,
+        confidence=outcome.confidence if read else None,
+        modules=estimate.q,
+        motion_px_per_s=seen.velocity,
+        affine=affine_to_code(seen.pose, seen.size),
+        stage_one_iterations=seen.iterations,
+        stage_two_iterations=estimate.iterations,
     )

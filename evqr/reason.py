@@ -18,6 +18,10 @@ class Reason(str, Enum):
 
     NO_EVENTS = "no_events", "no events"
     SOURCE_ERROR = "source_error", "the source cannot be read"
+    MISSING_EXTRA = "missing_extra", "an optional package is needed"
+    BACKEND_UNAVAILABLE = "backend_unavailable", "the backend or the device is not there"
+    BAD_USE = "bad_use", "an option makes no sense"
+    FAILED = "failed", "reading ended with an error that is not the recording's"
     RECORDING_ENDS = "recording_ends", "the recording ends"
     TOO_FEW_EVENTS = "too_few_events", "too few events"
     NOTHING_MOVES = "nothing_moves", "nothing moves"

@@ -1,19 +1,22 @@
-"""What flows between the stages: events, poses, readings.
+"""What reading gives: codes, windows, and all that one recording gave.
 
 Conventions (README, "Conventions"): x is the column and y the row, integers are pixel centres; time stamps
-are int64 microseconds; polarity is -1 (darker) or +1 (brighter).  Code coordinates (u, v) are (column, row)
-in modules from the outer corner of the top-left module, so module (i, j) covers [j, j + 1] x [i, i + 1].
+are int64 microseconds.  All results are values: frozen, with read-only arrays; two runs on the same events
+give equal results, however long they took.
 """
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, field
 from enum import Enum
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
+
+from evqr.reason import Reason
+from evqr.values import Value, plain
 
 
 class ReadStatus(str, Enum):
@@ -25,26 +28,46 @@ class ReadStatus(str, Enum):
     ERROR = "error"
 
 
-@dataclass(frozen=True)
-class CodeReading:
+@dataclass(frozen=True, eq=False)
+class CodeReading(Value):
     """One code that passed, read.
 
     Attributes
     ----------
-    text, data                the payload, as text and as bytes
-    symbology                 "QRCode", "MicroQRCode"
-    version                   of the symbol: 1 to 40, or text (M2)
-    ec_level, mask            "L" "M" "Q" "H", 0 to 7; None where the symbology has none
-    t_first_us, t_last_us     event time of first and last sight [us]
-    t_read_us                 event time at which it first decoded [us]
-    windows                   windows of events that were used until it decoded
-    corners_px : (4, 2)       outer corners, from the top-left one clockwise, at ``t_read_us`` [px]
-    motion_px_per_s : (2,)    velocity in the image [px/s]
-    confidence                0 to 1
-    errors_corrected          codewords that error correction changed
-    modules : (r, r) int8     the symbol as decoded: -1 dark, +1 light
-    estimate : (r, r) float32 the modules as estimated before decoding, same signs
-    compute_ms                milliseconds by stage, and "total"
+    text : str
+        The payload as text.
+    data : bytes
+        The payload.
+    symbology : str
+        Kind of symbol, by zxing-cpp's names: QRCode, ...
+    version : int or str
+        Which size of it: 1 to 40 for QR codes, text for others (M2, R11x27, 22x22).
+    ec_level : str or None
+        Level of error correction, "L", "M", "Q" or "H"; None where the symbology has none.
+    mask : int or None
+        Of the symbol, 0 to 7; None where the symbology has none.
+    t_first_us, t_last_us : int [us]
+        Event time of first and last sight.
+    t_read_us : int [us]
+        Event time at which it first decoded.
+    windows : int
+        Windows of events that were used until it decoded.
+    corners_px : (4, 2) float64 [px]
+        Outer corners, from the top-left one clockwise, at ``t_read_us``.
+    motion_px_per_s : (2,) float64 [px/s]
+        Velocity in the image.
+    confidence : float
+        That the text is right, 0 to 1.
+    errors_corrected : int
+        Codewords that error correction changed.
+    modules : (V, U) int8
+        The symbol as decoded: -1 dark, +1 light.
+    estimate : (V, U) float32
+        The modules as estimated before decoding, same signs.
+    compute_ms : mapping of str to float [ms]
+        By stage, and "total"; does not count in comparisons.
+    warnings : tuple of str
+        What was odd about the code, in words.
     """
 
     text: str
@@ -63,59 +86,355 @@ class CodeReading:
     errors_corrected: int
     modules: NDArray[np.int8] = field(repr=False)
     estimate: NDArray[np.float32] = field(repr=False)
-    compute_ms: Mapping[str, float]
+    compute_ms: Mapping[str, float] = field(compare=False)
+    warnings: tuple[str, ...] = ()
+
+    @property
+    def rows(self) -> int:
+        """Modules from top to bottom, V."""
+        return self.modules.shape[0]
+
+    @property
+    def columns(self) -> int:
+        """Modules from left to right, U."""
+        return self.modules.shape[1]
+
+    def __str__(self) -> str:
+        symbol = f"{plain(self.symbology)} {symbol_name(self.version, self.ec_level)}"
+        return f"{self.text!r} ({symbol}) at {self.t_read_us} us"
+
+    def to_dict(self) -> dict[str, Any]:
+        """Return the record of `evqr read --json`.
+
+        Returns
+        -------
+        record : dict
+            Plain values by key, in the order that README tells.
+        """
+        return {
+            "status": ReadStatus.READ.value,
+            "text": self.text,
+            "bytes_base64": plain(self.data),
+            "symbology": plain(self.symbology),
+            "version": plain(self.version),
+            "ec_level": plain(self.ec_level),
+            "mask": plain(self.mask),
+            "rows": self.rows,
+            "columns": self.columns,
+            "t_first_us": plain(self.t_first_us),
+            "t_last_us": plain(self.t_last_us),
+            "t_read_us": plain(self.t_read_us),
+            "windows": plain(self.windows),
+            "corners_px": plain(self.corners_px, 3),
+            "motion_px_per_s": plain(self.motion_px_per_s, 2),
+            "confidence": plain(self.confidence, 4),
+            "errors_corrected": plain(self.errors_corrected),
+            "compute_ms": plain(self.compute_ms, 3),
+            "warnings": list(self.warnings),
+        }
 
 
-@dataclass(frozen=True)
-class WindowReading:
-    """One window of events, read alone and from cold.
+@dataclass(frozen=True, eq=False, kw_only=True)
+class WindowCode(Value):
+    """One code in a window that was read alone.
 
     Attributes
     ----------
-    status                    READ, NO_READ (a code was found, but does not decode) or NO_CODE
-    reason                    why not, in words; "" when read
-    window                    index of the window
-    t_start_us, t_end_us      bounds of the window [us]
-    n_events                  events in it
-    text, version             None while unknown
-    modules : (r, r) float32  estimate, < 0 dark, > 0 light; None without a code
-    motion_px_per_s : (2,)    velocity in the image [px/s]; None without a code
-    affine : (2, 3)           W of the paper: (column, row, 1) in px to (u, v) with integers at module centres
+    status : ReadStatus
+        READ, or NO_READ: it was found, but does not decode.
+    reason : str
+        Why not, in words; "" when read.
+    reason_code : Reason or None
+        The same for programs; None when read.
+    text : str or None
+        None when not read.
+    symbology : str
+        Kind of symbol, by zxing-cpp's names: QRCode, ...
+    version : int or str
+        Which size of it: 1 to 40 for QR codes, text for others (M2, R11x27, 22x22).
+    ec_level : str or None
+        Level of error correction; None when not read, and where the symbology has none.
+    mask : int or None
+        Of the symbol; None when not read, and where the symbology has none.
+    confidence : float or None
+        That the text is right, 0 to 1; None when not read.
+    modules : (V, U) float32
+        Estimate, < 0 dark, > 0 light.
+    motion_px_per_s : (2,) float64 [px/s]
+        Velocity in the image.
+    affine : (2, 3) float64
+        W of the paper: (column, row, 1) in px to (u, v) with integers at module centres.
+    stage_one_iterations : int
+        Of Gauss-Newton, for the pose.
+    stage_two_iterations : int
+        Of conjugate gradients, for the modules.
     """
 
     status: ReadStatus
-    reason: str
+    reason: str = ""
+    reason_code: Reason | None = None
+    text: str | None = None
+    symbology: str
+    version: int | str
+    ec_level: str | None = None
+    mask: int | None = None
+    confidence: float | None = None
+    modules: NDArray[np.float32]
+    motion_px_per_s: NDArray[np.float64]
+    affine: NDArray[np.float64]
+    stage_one_iterations: int = 0
+    stage_two_iterations: int = 0
+
+    @property
+    def rows(self) -> int:
+        """Modules from top to bottom, V."""
+        return self.modules.shape[0]
+
+    @property
+    def columns(self) -> int:
+        """Modules from left to right, U."""
+        return self.modules.shape[1]
+
+    def __str__(self) -> str:
+        symbol = f"{plain(self.symbology)} {symbol_name(self.version, self.ec_level)}"
+        return f"{self.reason} ({symbol})" if self.text is None else f"{self.text!r} ({symbol})"
+
+    def to_dict(self) -> dict[str, Any]:
+        """Return one of the ``codes`` of `evqr read --each-window --json`.
+
+        Returns
+        -------
+        record : dict
+            Plain values by key; modules are rows of "0" and "1", 1 dark.
+        """
+        return {
+            **super().to_dict(),
+            "rows": self.rows,
+            "columns": self.columns,
+            "confidence": plain(self.confidence, 4),
+            "modules": module_rows(self.modules),
+            "motion_px_per_s": plain(self.motion_px_per_s, 2),
+            "affine": plain(self.affine.ravel(), 8),
+        }
+
+
+@dataclass(frozen=True, eq=False, kw_only=True)
+class WindowReading(Value):
+    """One window of events, read alone and from cold.
+
+    What `codes` says of its first code is here too: `text`, `version`, `modules` and so on.
+
+    Attributes
+    ----------
+    status : ReadStatus
+        READ when any code was read, NO_READ when one was found, but none decodes, or NO_CODE.
+    reason : str
+        Why not, in words; "" when read.
+    reason_code : Reason or None
+        The same for programs; None when read.
+    window : int
+        Index of the window.
+    t_start_us, t_end_us : int [us]
+        Bounds of the window.
+    n_events : int
+        Events in it.
+    codes : tuple of WindowCode
+        All codes in it, those that were read first.
+    compute_ms : mapping of str to float [ms]
+        By stage, and "total"; does not count in comparisons.
+    warnings : tuple of str
+        What was odd about the recording up to here, in words.
+    """
+
+    status: ReadStatus
+    reason: str = ""
+    reason_code: Reason | None = None
     window: int
     t_start_us: int
     t_end_us: int
     n_events: int
-    text: str | None = None
-    version: int | None = None
-    modules: NDArray[np.float32] | None = None
-    motion_px_per_s: NDArray[np.float64] | None = None
-    affine: NDArray[np.float64] | None = None
-    stage_one_iterations: int = 0
-    stage_two_iterations: int = 0
-    compute_ms: Mapping[str, float] = field(default_factory=dict)
+    codes: tuple[WindowCode, ...] = ()
+    compute_ms: Mapping[str, float] = field(default_factory=dict, compare=False)
+    warnings: tuple[str, ...] = ()
+
+    @property
+    def text(self) -> str | None:
+        """Of the first code; None while unknown."""
+        return self.codes[0].text if self.codes else None
+
+    @property
+    def version(self) -> int | str | None:
+        """Of the first code; None without one."""
+        return self.codes[0].version if self.codes else None
+
+    @property
+    def modules(self) -> NDArray[np.float32] | None:
+        """Estimate (V, U) of the first code, < 0 dark, > 0 light; None without one."""
+        return self.codes[0].modules if self.codes else None
+
+    @property
+    def motion_px_per_s(self) -> NDArray[np.float64] | None:
+        """Velocity (2,) of the first code [px/s]; None without one."""
+        return self.codes[0].motion_px_per_s if self.codes else None
+
+    @property
+    def affine(self) -> NDArray[np.float64] | None:
+        """W (2, 3) of the first code; None without one."""
+        return self.codes[0].affine if self.codes else None
+
+    @property
+    def stage_one_iterations(self) -> int:
+        """Of Gauss-Newton, for the pose of the first code."""
+        return self.codes[0].stage_one_iterations if self.codes else 0
+
+    @property
+    def stage_two_iterations(self) -> int:
+        """Of conjugate gradients, for the modules of the first code."""
+        return self.codes[0].stage_two_iterations if self.codes else 0
+
+    def __str__(self) -> str:
+        found = ", ".join(map(str, self.codes)) or self.reason
+        return f"window {self.window}, {self.t_start_us} to {self.t_end_us} us: {found}"
+
+    def to_dict(self) -> dict[str, Any]:
+        """Return the record of `evqr read --each-window --json`.
+
+        Returns
+        -------
+        record : dict
+            Plain values by key, in the order that README tells.
+        """
+        first = self.codes[0].to_dict() if self.codes else {}
+        return {
+            "status": self.status.value,
+            "reason": self.reason,
+            "reason_code": plain(self.reason_code),
+            "window": plain(self.window),
+            "t_start_us": plain(self.t_start_us),
+            "t_end_us": plain(self.t_end_us),
+            "n_events": plain(self.n_events),
+            **{key: first.get(key) for key in ("text", "version", "modules", "motion_px_per_s", "affine")},
+            "stage_one_iterations": plain(self.stage_one_iterations),
+            "stage_two_iterations": plain(self.stage_two_iterations),
+            "codes": [code.to_dict() for code in self.codes],
+            "compute_ms": plain(self.compute_ms, 3),
+            "warnings": list(self.warnings),
+        }
 
 
-@dataclass(frozen=True)
-class ReadResult:
+@dataclass(frozen=True, eq=False, kw_only=True)
+class Statistics(Value, Mapping[str, int]):
+    """How much of a recording was worked on; also a mapping of its fields.
+
+    Attributes
+    ----------
+    events : int
+        Of the recording, as far as it was read.
+    duration_us : int [us]
+        From its first event to its last.
+    windows : int
+        Windows that were searched or followed.
+    searches : int
+        Searches for a code from cold.
+    codes_not_decoded : int
+        Codes that were followed and never decoded.
+    """
+
+    events: int = 0
+    duration_us: int = 0
+    windows: int = 0
+    searches: int = 0
+    codes_not_decoded: int = 0
+
+    def __getitem__(self, key: str) -> int:
+        if key not in vars(self):
+            raise KeyError(key)
+        return vars(self)[key]
+
+    def __iter__(self) -> Iterator[str]:
+        return iter(vars(self))
+
+    def __len__(self) -> int:
+        return len(vars(self))
+
+
+@dataclass(frozen=True, eq=False)
+class ReadResult(Value):
     """All that one recording gave.
 
     Attributes
     ----------
-    status     READ when something was read, NO_READ otherwise, ERROR for a source that could not be read
-    reason     why nothing was read, or the error; "" when something was read
-    readings   one a code, in order of ``t_read_us``
-    seen       what was seen: events, duration_us, windows searched, codes found but not decoded, ...
-    compute_ms milliseconds by stage over the whole recording, and "total"
-    source     the path, or "" for arrays
+    status : ReadStatus
+        READ when something was read, NO_READ otherwise, ERROR for a source that could not be read.
+    reason : str
+        Why nothing was read, or the error; "" when something was read.
+    readings : tuple of CodeReading
+        One a code, in order of ``t_read_us``.
+    seen : Statistics
+        How much was worked on.
+    compute_ms : mapping of str to float [ms]
+        By stage over the whole recording, and "total"; does not count in comparisons.
+    source : str
+        The path, or "" for arrays.
+    reason_code : Reason or None
+        The reason for programs; None when something was read.
+    warnings : tuple of str
+        What was odd about the recording, in words.
     """
 
     status: ReadStatus
-    reason: str
-    readings: tuple[CodeReading, ...]
-    seen: Mapping[str, Any]
-    compute_ms: Mapping[str, float]
+    reason: str = ""
+    readings: tuple[CodeReading, ...] = ()
+    seen: Statistics = field(default_factory=Statistics)
+    compute_ms: Mapping[str, float] = field(default_factory=dict, compare=False)
     source: str = ""
+    reason_code: Reason | None = None
+    warnings: tuple[str, ...] = ()
+
+    def __str__(self) -> str:
+        found = ", ".join(map(str, self.readings)) or f"{self.status.value}: {self.reason}"
+        return f"{self.source}: {found}" if self.source else found
+
+    def to_dict(self) -> dict[str, Any]:
+        """Return all of it as plain values.
+
+        Returns
+        -------
+        record : dict
+            Plain values by field; ``readings`` are as `CodeReading.to_dict` has them.
+        """
+        return {**super().to_dict(), "compute_ms": plain(self.compute_ms, 3)}
+
+
+def module_rows(modules: NDArray[np.floating] | NDArray[np.integer]) -> list[str]:
+    """Write a grid as text.
+
+    Parameters
+    ----------
+    modules : (V, U) float or int
+        Negative where dark.
+
+    Returns
+    -------
+    rows : list of str
+        One a row, "1" where dark, "0" where light.
+    """
+    return ["".join("1" if dark else "0" for dark in row) for row in modules < 0]
+
+
+def symbol_name(version: int | str, ec_level: str | None) -> str:
+    """Name a symbol within its symbology.
+
+    Parameters
+    ----------
+    version : int or str
+        Which size.
+    ec_level : str or None
+        Level of error correction, where there is one.
+
+    Returns
+    -------
+    name : str
+        As 7-H, M2-L, 22x22.
+    """
+    return str(version) if ec_level is None else f"{version}-{ec_level}"

@@ -9,8 +9,9 @@ from typing import Any
 import numpy as np
 
 from evqr.events.array import EventArray
+from evqr.reason import Reason
 from evqr.recording import save_recording
-from evqr.results import CodeReading, ReadResult, ReadStatus, WindowReading
+from evqr.results import CodeReading, ReadResult, ReadStatus, Statistics, WindowCode, WindowReading
 
 RNG = np.random.default_rng(5)
 MODULES = np.where(RNG.random((21, 21)) < 0.5, -1, 1).astype(np.int8)
@@ -42,13 +43,22 @@ WINDOW = WindowReading(
     t_start_us=1000,
     t_end_us=1250,
     n_events=321,
-    text="LOT 42",
-    version=1,
-    modules=(0.8 * MODULES).astype(np.float32),
-    motion_px_per_s=np.array([4000.0, -500.0]),
-    affine=np.array([[0.25, 0.0, -10.5], [0.0, 0.25, -8.0]]),
-    stage_one_iterations=12,
-    stage_two_iterations=15,
+    codes=(
+        WindowCode(
+            status=ReadStatus.READ,
+            text="LOT 42",
+            symbology="QRCode",
+            version=1,
+            ec_level="M",
+            mask=3,
+            confidence=0.987654,
+            modules=(0.8 * MODULES).astype(np.float32),
+            motion_px_per_s=np.array([4000.0, -500.0]),
+            affine=np.array([[0.25, 0.0, -10.5], [0.0, 0.25, -8.0]]),
+            stage_one_iterations=12,
+            stage_two_iterations=15,
+        ),
+    ),
     compute_ms={"motion": 1.25, "total": 31.0},
 )
 
@@ -58,12 +68,15 @@ def reading(**changes: Any) -> CodeReading:
 
 
 def read_result(*readings: CodeReading) -> ReadResult:
-    return ReadResult(ReadStatus.READ, "", readings or (READING,), {"windows": 4}, {"total": 50.0})
+    return ReadResult(ReadStatus.READ, "", readings or (READING,), Statistics(windows=4), {"total": 50.0})
 
 
 def no_read_result() -> ReadResult:
-    seen = {"n_events": np.int64(1000), "windows": 12}
-    return ReadResult(ReadStatus.NO_READ, "no finder pattern was seen", (), seen, {"total": 20.0})
+    seen = Statistics(events=np.int64(1000), windows=12)  # pyright: ignore[reportArgumentType]
+    return ReadResult(
+        ReadStatus.NO_READ, "no finder pattern was seen", (), seen, {"total": 20.0},
+        reason_code=Reason.NO_FINDER_PATTERNS,
+    )  # fmt: skip
 
 
 def events(n: int = 4000, seed: int = 1) -> EventArray:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import base64
+import dataclasses
 import json
 import subprocess
 import sys
@@ -15,15 +16,16 @@ import sample_results
 
 from evqr import main as cli
 from evqr.cli import commands
+from evqr.reason import Reason
 from evqr.results import ReadResult, ReadStatus
 
 READING_KEYS = (
-    "status text bytes_base64 symbology version ec_level mask t_first_us t_last_us t_read_us windows "
-    "corners_px motion_px_per_s confidence errors_corrected compute_ms"
+    "status text bytes_base64 symbology version ec_level mask rows columns t_first_us t_last_us t_read_us "
+    "windows corners_px motion_px_per_s confidence errors_corrected compute_ms warnings"
 ).split()
 WINDOW_KEYS = (
-    "status reason window t_start_us t_end_us n_events text version modules motion_px_per_s affine "
-    "stage_one_iterations stage_two_iterations compute_ms"
+    "status reason reason_code window t_start_us t_end_us n_events text version modules motion_px_per_s "
+    "affine stage_one_iterations stage_two_iterations codes compute_ms warnings"
 ).split()
 
 
@@ -106,7 +108,10 @@ def test_nothing_read(capsys, reads, recording):
     (record,) = map(json.loads, out)
     assert record["status"] == "no_read"
     assert record["reason"] == "no finder pattern was seen"
-    assert record["seen"] == {"n_events": 1000, "windows": 12}
+    assert record["reason_code"] == "no_finder_patterns"
+    assert record["seen"] == {
+        "events": 1000, "duration_us": 0, "windows": 12, "searches": 0, "codes_not_decoded": 0,
+    }  # fmt: skip
 
     status, out, _ = run(capsys, "read", recording)
     assert status == 1
@@ -134,15 +139,13 @@ def test_sensor_and_time_unit_reach_the_recording(capsys, reads, tmp_path):
 
 
 def test_each_window(capsys, monkeypatch, recording):
-    import dataclasses
-
     read = sample_results.WINDOW
     blank = dataclasses.replace(
         read,
         status=ReadStatus.NO_CODE,
         reason="no finder pattern",
         window=1,
-        **dict.fromkeys(("text", "version", "modules", "motion_px_per_s", "affine")),
+        codes=(),
     )
     monkeypatch.setattr("evqr.offline.read_windows", lambda source, **options: iter([read, blank]))
     status, out, _ = run(capsys, "read", recording, "--each-window", "--json")
@@ -291,14 +294,16 @@ def test_warnings_of_a_recording_go_to_stderr(capsys, reads, tmp_path):
 
     def read_codes(source, **options):
         given["n"] = sum(len(chunk) for chunk in source.chunks())
-        return sample_results.read_result()
+        return dataclasses.replace(sample_results.read_result(), warnings=source.notes)
 
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr("evqr.offline.read_codes", read_codes)
         status, out, err = run(capsys, "read", path, "--json", "--time-unit", "us")
     assert (status, given["n"]) == (0, len(events))
     assert [json.loads(line)["status"] for line in out] == ["read"]
-    assert any("out of order" in line and line.startswith("evqr: ") for line in err)
+    (told,) = [line for line in err if "out of order" in line]
+    assert told.startswith(f"evqr: {path}: ")
+    assert json.loads(out[0])["warnings"] == [told.removeprefix(f"evqr: {path}: ")]
 
 
 def test_progress_on_a_terminal_only(capsys, monkeypatch, recording):
@@ -392,5 +397,9 @@ def test_result_of_an_error_has_no_seen(capsys):
 
     from evqr.output import records
 
-    failed = ReadResult(ReadStatus.ERROR, "x.h5: the file is empty", (), {}, {}, "x.h5")
-    assert records.result_records(failed) == [{"status": "error", "reason": "x.h5: the file is empty"}]
+    failed = ReadResult(
+        ReadStatus.ERROR, "x.h5: the file is empty", source="x.h5", reason_code=Reason.SOURCE_ERROR
+    )
+    assert records.result_records(failed) == [
+        {"status": "error", "reason": "x.h5: the file is empty", "reason_code": "source_error"}
+    ]

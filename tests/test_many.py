@@ -26,7 +26,7 @@ def fake_reader(monkeypatch):
             raise RecordingError("bad: the file is empty; record it again")
         if source == "bug":
             raise ZeroDivisionError("division\nby zero")
-        return ReadResult(ReadStatus.NO_READ, f"read {source}", (), {}, {}, source)
+        return ReadResult(ReadStatus.NO_READ, f"read {source}", source=source)
 
     monkeypatch.setattr("evqr.offline.read_codes", read_codes)
     return calls

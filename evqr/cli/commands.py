@@ -25,6 +25,7 @@ from evqr.cli.options import (
 from evqr.errors import UsageError
 from evqr.output import records
 from evqr.results import ReadResult, ReadStatus
+from evqr.values import json_line
 
 if TYPE_CHECKING:
     from evqr.config import ReadConfig
@@ -113,9 +114,7 @@ def read(
             status = _read_each_window(recording, as_json, threads=threads, **compute)
         else:
             status = _read_one(recording, as_json, picture, threads=threads, **compute)
-        for warning in recording.notes:
-            note(f"{recording.path}: {warning}")
-        return status
+    return status
 
 
 def _read_config(**given: Any) -> ReadConfig:
@@ -147,6 +146,7 @@ def _read_one(recording: Recording, as_json: bool, picture: Path | None, **optio
     with progress_bar(Path(recording.path).name) as progress:
         result = read_codes(recording, progress=progress, **options)
     _show(result, as_json, {})
+    _warn(recording.path, result.warnings)
     if picture and result.readings:
         from evqr.output.picture import picture_events, save_picture
 
@@ -162,10 +162,9 @@ def _read_each_window(recording: Recording, as_json: bool, **options: Any) -> in
 
     statuses = []
     for window in read_windows(recording, **options):
-        click.echo(
-            records.json_line(records.window_record(window)) if as_json else records.window_text(window)
-        )
+        click.echo(window.to_json() if as_json else records.window_text(window))
         statuses.append(window.status)
+    _warn(recording.path, recording.notes)
     return _exit_status(statuses)
 
 
@@ -185,6 +184,7 @@ def _read_many(recordings: tuple[Path, ...], jobs: int, as_json: bool, **options
                 if not as_json:
                     click.echo(f"{path}:")
                 _show(result, as_json, {"recording": str(path)})
+                _warn(str(path), result.warnings)
             statuses.append(result.status)
     return _exit_status(statuses)
 
@@ -192,9 +192,14 @@ def _read_many(recordings: tuple[Path, ...], jobs: int, as_json: bool, **options
 def _show(result: ReadResult, as_json: bool, extra: dict[str, Any]) -> None:
     if as_json:
         for record in records.result_records(result):
-            click.echo(records.json_line({**extra, **record}))
+            click.echo(json_line({**extra, **record}))
     else:
         click.echo(records.result_text(result))
+
+
+def _warn(path: str, warnings: Sequence[str]) -> None:
+    for warning in warnings:
+        note(f"{path}: {warning}")
 
 
 def _exit_status(statuses: Sequence[ReadStatus]) -> int:
@@ -213,7 +218,7 @@ def info(recording: Path, as_json: bool, sensor: tuple[int, int] | None, time_un
 
     with open_recording(recording, sensor=sensor, time_unit=time_unit) as opened:
         found = summarise(opened)
-    click.echo(records.json_line(records.info_record(found)) if as_json else records.info_text(found))
+    click.echo(json_line(records.info_record(found)) if as_json else records.info_text(found))
     return OK
 
 

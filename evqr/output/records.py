@@ -2,82 +2,40 @@
 
 from __future__ import annotations
 
-import base64
-import json
 from collections.abc import Mapping
 from dataclasses import asdict
-from enum import Enum
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
-from numpy.typing import NDArray
 
-from evqr.results import CodeReading, ReadResult, ReadStatus, WindowReading
+from evqr.results import CodeReading, ReadResult, ReadStatus, WindowReading, symbol_name
 
 if TYPE_CHECKING:
     from evqr.recording import RecordingInfo
 
 
-def json_line(record: Mapping[str, Any]) -> str:
-    """Write one JSON object on one line, in ASCII, so that any terminal and any pipe carries it."""
-    return json.dumps(record, default=_plain, allow_nan=False)
-
-
-def reading_record(reading: CodeReading) -> dict[str, Any]:
-    """Return keys and order of a reading in `evqr read --json`."""
-    return {
-        "status": ReadStatus.READ.value,
-        "text": reading.text,
-        "bytes_base64": base64.b64encode(reading.data).decode("ascii"),
-        "symbology": reading.symbology,
-        "version": reading.version,
-        "ec_level": reading.ec_level,
-        "mask": reading.mask,
-        "t_first_us": reading.t_first_us,
-        "t_last_us": reading.t_last_us,
-        "t_read_us": reading.t_read_us,
-        "windows": reading.windows,
-        "corners_px": _rounded(reading.corners_px, 3),
-        "motion_px_per_s": _rounded(reading.motion_px_per_s, 2),
-        "confidence": round(float(reading.confidence), 4),
-        "errors_corrected": reading.errors_corrected,
-        "compute_ms": _milliseconds(reading.compute_ms),
-    }
-
-
 def result_records(result: ReadResult) -> list[dict[str, Any]]:
-    """Return one record a reading; for a result without readings, one that says why."""
+    """Give what `evqr read --json` prints of one recording.
+
+    Parameters
+    ----------
+    result : ReadResult
+        Of a recording.
+
+    Returns
+    -------
+    records : list of dict
+        One a reading, which tells what was odd about the recording too; for a result without readings, one
+        that says why.
+    """
     if result.readings:
-        return [reading_record(reading) for reading in result.readings]
-    record: dict[str, Any] = {"status": result.status.value, "reason": result.reason}
+        records = [reading.to_dict() for reading in result.readings]
+        return [{**record, "warnings": [*record["warnings"], *result.warnings]} for record in records]
+    record = result.to_dict()
+    keys = ["status", "reason", "reason_code"]
     if result.status is not ReadStatus.ERROR:
-        record |= {"seen": dict(result.seen), "compute_ms": _milliseconds(result.compute_ms)}
-    return [record]
-
-
-def window_record(window: WindowReading) -> dict[str, Any]:
-    """Return keys and order of a window in `evqr read --each-window --json`."""
-    return {
-        "status": window.status.value,
-        "reason": window.reason,
-        "window": window.window,
-        "t_start_us": window.t_start_us,
-        "t_end_us": window.t_end_us,
-        "n_events": window.n_events,
-        "text": window.text,
-        "version": window.version,
-        "modules": None if window.modules is None else module_rows(window.modules),
-        "motion_px_per_s": None if window.motion_px_per_s is None else _rounded(window.motion_px_per_s, 2),
-        "affine": None if window.affine is None else _rounded(np.ravel(window.affine), 8),
-        "stage_one_iterations": window.stage_one_iterations,
-        "stage_two_iterations": window.stage_two_iterations,
-        "compute_ms": _milliseconds(window.compute_ms),
-    }
-
-
-def module_rows(modules: NDArray[np.floating] | NDArray[np.integer]) -> list[str]:
-    """Write a grid, negative dark, as rows of "0" and "1", 1 dark."""
-    return ["".join("1" if dark else "0" for dark in row) for row in modules < 0]
+        keys += ["seen", "compute_ms", "warnings"]
+    return [{key: record[key] for key in keys}]
 
 
 def reading_text(reading: CodeReading) -> str:
@@ -87,8 +45,7 @@ def reading_text(reading: CodeReading) -> str:
     return "\n".join(
         (
             printable(reading.text),
-            f"  symbol      {reading.symbology} {reading.version}-{reading.ec_level}, mask {reading.mask}, "
-            f"codewords corrected: {reading.errors_corrected}",
+            f"  symbol      {_symbol(reading)}, codewords corrected: {reading.errors_corrected}",
             f"  confidence  {reading.confidence:.3f}",
             f"  time        seen {reading.t_first_us} to {reading.t_last_us} us, "
             f"read at {reading.t_read_us} us, windows used: {reading.windows}",
@@ -144,23 +101,11 @@ def printable(text: str) -> str:
     return "".join(c if c.isprintable() else c.encode("unicode_escape").decode("ascii") for c in text)
 
 
-def _rounded(values: NDArray[np.floating], digits: int) -> list[Any]:
-    return np.round(np.asarray(values, np.float64), digits).tolist()
-
-
-def _milliseconds(stages: Mapping[str, float]) -> dict[str, float]:
-    return {stage: round(float(ms), 3) for stage, ms in stages.items()}
+def _symbol(reading: CodeReading) -> str:
+    name = f"{reading.symbology} {symbol_name(reading.version, reading.ec_level)}"
+    return name if reading.mask is None else f"{name}, mask {reading.mask}"
 
 
 def _milliseconds_text(stages: Mapping[str, float]) -> str:
     parts = ", ".join(f"{stage} {ms:.1f}" for stage, ms in stages.items() if stage != "total")
     return f"{stages.get('total', sum(stages.values())):.1f} ms" + (f" ({parts})" if parts else "")
-
-
-def _plain(value: Any) -> Any:
-    """Convert what ``json`` does not know: NumPy scalars and arrays, enums."""
-    if isinstance(value, Enum):
-        return value.value
-    if isinstance(value, (np.generic, np.ndarray)):
-        return value.tolist()
-    raise TypeError(f"cannot write {type(value).__name__} as JSON")
