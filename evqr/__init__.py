@@ -15,30 +15,66 @@ from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
     from evqr import simulate
-    from evqr.config import ReadConfig, Vote
-    from evqr.errors import EvqrError, MissingExtra, RecordingError, UsageError
+    from evqr.config import (
+        AlignConfig,
+        DecodeConfig,
+        FinderConfig,
+        LagConfig,
+        ModulesConfig,
+        MotionConfig,
+        ReadConfig,
+        SchedulerConfig,
+        SearchPass,
+        TrackConfig,
+        Vote,
+    )
+    from evqr.errors import BackendError, EvqrError, MissingExtra, RecordingError, UsageError
     from evqr.events.array import EventArray
     from evqr.many import read_many
     from evqr.offline import read_codes, read_windows
     from evqr.output.picture import draw_reading
-    from evqr.recording import Recording, RecordingInfo, open_recording, save_recording, summarise
-    from evqr.results import CodeReading, ReadResult, ReadStatus, WindowReading
+    from evqr.reason import Reason
+    from evqr.recording import (
+        EventCounts,
+        Recording,
+        RecordingInfo,
+        TimeUnit,
+        open_recording,
+        save_recording,
+        summarise,
+    )
+    from evqr.results import CodeReading, ReadResult, ReadStatus, Statistics, WindowCode, WindowReading
     from evqr.solver import Solver
 
 __all__ = [
+    "AlignConfig",
+    "BackendError",
     "CodeReading",
+    "DecodeConfig",
     "EventArray",
+    "EventCounts",
     "EvqrError",
+    "FinderConfig",
+    "LagConfig",
     "MissingExtra",
+    "ModulesConfig",
+    "MotionConfig",
     "ReadConfig",
     "ReadResult",
     "ReadStatus",
+    "Reason",
     "Recording",
     "RecordingError",
     "RecordingInfo",
+    "SchedulerConfig",
+    "SearchPass",
     "Solver",
+    "Statistics",
+    "TimeUnit",
+    "TrackConfig",
     "UsageError",
     "Vote",
+    "WindowCode",
     "WindowReading",
     "draw_reading",
     "open_recording",
@@ -51,15 +87,52 @@ __all__ = [
 ]
 
 _HOME = {
-    "evqr.config": ("ReadConfig", "Vote"),
-    "evqr.errors": ("EvqrError", "MissingExtra", "RecordingError", "UsageError"),
-    "evqr.many": ("read_many",),
-    "evqr.output.picture": ("draw_reading",),
-    "evqr.offline": ("read_codes", "read_windows"),
-    "evqr.recording": ("Recording", "RecordingInfo", "open_recording", "save_recording", "summarise"),
-    "evqr.solver": ("Solver",),
+    "evqr.config": (
+        "AlignConfig",
+        "DecodeConfig",
+        "FinderConfig",
+        "LagConfig",
+        "ModulesConfig",
+        "MotionConfig",
+        "ReadConfig",
+        "SchedulerConfig",
+        "SearchPass",
+        "TrackConfig",
+        "Vote",
+    ),
+    "evqr.errors": (
+        "BackendError",
+        "EvqrError",
+        "MissingExtra",
+        "RecordingError",
+        "UsageError",
+    ),
     "evqr.events.array": ("EventArray",),
-    "evqr.results": ("CodeReading", "ReadResult", "ReadStatus", "WindowReading"),
+    "evqr.many": ("read_many",),
+    "evqr.offline": (
+        "read_codes",
+        "read_windows",
+    ),
+    "evqr.output.picture": ("draw_reading",),
+    "evqr.reason": ("Reason",),
+    "evqr.recording": (
+        "EventCounts",
+        "Recording",
+        "RecordingInfo",
+        "TimeUnit",
+        "open_recording",
+        "save_recording",
+        "summarise",
+    ),
+    "evqr.results": (
+        "CodeReading",
+        "ReadResult",
+        "ReadStatus",
+        "Statistics",
+        "WindowCode",
+        "WindowReading",
+    ),
+    "evqr.solver": ("Solver",),
 }
 _HOME_OF = {name: module for module, names in _HOME.items() for name in names}
 
@@ -79,4 +152,4 @@ def __getattr__(name: str) -> Any:
 
 
 def __dir__() -> list[str]:
-    return sorted({*globals(), *__all__, "__version__"})
+    return sorted([*__all__, "__version__"])

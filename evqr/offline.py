@@ -61,7 +61,7 @@ def read_codes(
     Raises
     ------
     RecordingError, MissingExtra   the source cannot be read
-    BackendUnavailable             the backend cannot be had
+    BackendError                   the backend or the device is not there
     """
     started = time.perf_counter()
     with ExitStack() as stack:

@@ -17,6 +17,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from evqr.config import LookConfig, ReadConfig
+from evqr.device import kernels_on
 from evqr.events.buffer import EventBuffer
 from evqr.events.window import Window
 from evqr.fit.align import Alignment, escape_side_minimum
@@ -30,7 +31,6 @@ from evqr.search.motion_estimate import Motion, estimate_motion, find_motion, wi
 from evqr.search.screen import Candidate, batches, screen
 from evqr.symbol import qr
 from evqr.workspace import Workspace
-from evqr_kernels.backend import get_backend
 
 SURE_TRAVEL_PX = 0.6
 """Travel in a window below which the direction of the motion is not sure [px]."""
@@ -178,14 +178,14 @@ class Solver:
 
     Raises
     ------
-    BackendUnavailable   the backend or the device is not there
+    BackendError   the backend or the device is not there
     """
 
     def __init__(
         self, config: ReadConfig | None = None, *, backend: str = "auto", device: str = "cpu"
     ) -> None:
         self.config = config or ReadConfig()
-        self.workspace = Workspace(get_backend(backend), device)
+        self.workspace = Workspace(kernels_on(backend, device), device)
         self.workspace.backend.load(device)
         self.clock = StageClock()
 

@@ -14,7 +14,7 @@ FLOORS = (
     ("errors", "reason", "values", "clock"),
     ("config",),
     ("events", "motion", "geometry", "symbol"),
-    ("recording", "simulate", "workspace"),
+    ("recording", "simulate", "workspace", "device"),
     ("fit",),
     ("search",),
     ("solver",),

@@ -9,12 +9,11 @@ from backends import BACKENDS
 from scenes import at, joined, keep, middle_us, noise, scene, true_corners
 
 import evqr
-from evqr import ReadConfig, ReadStatus, Vote, read_codes, read_windows
+from evqr import ReadConfig, ReadStatus, Reason, Vote, read_codes, read_many, read_windows
 from evqr.events.array import EventArray
 from evqr.results import CodeReading
 from evqr.search.motion_estimate import Motion
 from evqr.simulate import CodePlacement, shuffled
-from evqr_kernels import BackendUnavailable
 
 LONG = {"travel_px": 30.0}
 """Long enough to be read, followed, lost and found."""
@@ -436,8 +435,11 @@ def test_every_backend_reads_the_same(backend):
 
 @pytest.mark.parametrize("options", [{"backend": "abacus"}, {"device": "cuda:99"}], ids=str)
 def test_what_is_not_there_is_refused(options, events):
-    with pytest.raises((BackendUnavailable, ValueError), match=r"abacus|cuda:99"):
+    with pytest.raises(evqr.BackendError, match=r"abacus|cuda:99") as caught:
         read_codes(events, **options)
+    assert isinstance(caught.value, evqr.EvqrError) and isinstance(caught.value, ValueError)
+    (result,) = read_many([events], **options)
+    assert (result.status, result.reason_code) == (ReadStatus.ERROR, Reason.BACKEND_UNAVAILABLE)
 
 
 @pytest.mark.parametrize(

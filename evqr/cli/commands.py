@@ -128,13 +128,9 @@ def _read_config(**given: Any) -> ReadConfig:
 
 def _prepare(backend: str, device: str) -> None:
     """Refuse a backend or a device that is not there; compile kernels that are not yet, and say so."""
-    from evqr_kernels.backend import BackendUnavailable, get_backend, require_device
+    from evqr.device import kernels_on
 
-    try:
-        kernels = get_backend(backend)
-        require_device(kernels, device)
-    except (BackendUnavailable, ValueError) as error:
-        raise UsageError(str(error)) from error
+    kernels = kernels_on(backend, device)
     if kernels.needs_compile(device):
         note(COMPILING)
         kernels.load(device)
