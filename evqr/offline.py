@@ -20,7 +20,8 @@ from evqr.solver import Sighting, Solver, StageClock, Unseen
 from evqr.stream.feed import Feed
 from evqr.stream.scheduler import Passes, Progress
 from evqr.symbol import qr
-from evqr.symbol.decode import Decoded, DecodeFailure, decode_grid
+from evqr.symbol.decode import decode_grid
+from evqr.symbol.decoded import Decoded, DecodeFailure
 
 if TYPE_CHECKING:
     from evqr.config import ReadConfig

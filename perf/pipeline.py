@@ -28,7 +28,8 @@ from evqr.paper.methods import descent, integrate
 from evqr.search.finder import find_hypotheses
 from evqr.solver import Sighting, Solver, StageClock, Unseen
 from evqr.symbol import qr
-from evqr.symbol.decode import Decoded, decode_grid
+from evqr.symbol.decode import decode_grid
+from evqr.symbol.decoded import Decoded
 
 METHODS = ("cold", "tracked", "integrate", "integrate4", "descent")
 

@@ -14,7 +14,8 @@ from evqr.results import CodeReading
 from evqr.search.motion_estimate import travel_time_us
 from evqr.solver import Sighting, Solver, StageClock
 from evqr.symbol import qr
-from evqr.symbol.decode import Decoded, DecodeFailure, decode_grid
+from evqr.symbol.decode import decode_grid
+from evqr.symbol.decoded import Decoded, DecodeFailure
 
 BASELINE = 8
 """Windows over which the velocity is measured: long enough for precision, short enough for a speed that

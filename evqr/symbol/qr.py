@@ -10,7 +10,15 @@ import functools
 from collections.abc import Mapping
 from types import MappingProxyType
 
+import numpy as np
+from numpy.typing import NDArray
+
+from evqr.config import DecodeConfig
+from evqr.symbol.chance import count_pads, log_padded_contents
+from evqr.symbol.decoded import Decoded, DecodeFailure, Effort
 from evqr.symbol.qr_codewords import roles_of
+from evqr.symbol.qr_decode import Evidence, decode_words
+from evqr.symbol.reed_solomon import Symbols
 from evqr.symbol.space import Anchor, CodeSpace, Landmark, Symbology
 
 MIN_VERSION = 1
@@ -49,6 +57,20 @@ def version_of(size: int) -> int:
             f"(17 + 4 version), got {size}"
         )
     return version
+
+
+def decode(
+    q: NDArray[np.float64], space: CodeSpace, config: DecodeConfig, effort: Effort
+) -> Decoded | DecodeFailure:
+    """Decode a grid; see `evqr.symbol.qr_decode.decode_words`."""
+    return decode_words(q, space, config, effort, _EVIDENCE)
+
+
+def _log_contents(data: Symbols, may_end_in_pads: bool) -> float:
+    return log_padded_contents(len(data), count_pads(data) if may_end_in_pads else 0)
+
+
+_EVIDENCE = Evidence(log_contents=_log_contents)
 
 
 @functools.cache

@@ -121,12 +121,16 @@ class CodewordLayout:
     ----------
     bits : (8 n,) intp
         Flat module index of every bit, most significant first, blocks one after another; -1 for a bit that is
-        not printed, and zero: the last four of the last data codeword of M1 and M3.
+        not printed.
+    printed : (8 n,) bool, optional
+        Bits that are printed, None for all: the last four of the last data codeword of M1 and M3 are not, and
+        are zero.
     blocks : tuple of Block
         In order of their data.
     """
 
     bits: NDArray[np.intp]
+    printed: NDArray[np.bool_] | None
     blocks: tuple[Block, ...]
 
 
@@ -158,7 +162,11 @@ def codeword_layout(version: Version, level: ErrorLevel | None) -> CodewordLayou
         printed[len(data) - 1, 4:] = False
     modules = np.full((start, 8), -1, dtype=np.intp)
     modules[printed] = _placement(version)[: np.count_nonzero(printed)]
-    return CodewordLayout(bits=read_only(modules[codewords].ravel()), blocks=tuple(blocks))
+    return CodewordLayout(
+        bits=read_only(modules[codewords].ravel()),
+        printed=None if printed.all() else read_only(printed[codewords].ravel()),
+        blocks=tuple(blocks),
+    )
 
 
 @functools.cache
@@ -220,10 +228,11 @@ def symbol_of(
     codewords : (n,) uint8
         Data and check codewords of the first block, then of the second, ...
     """
-    masked = _masked(version, level, mask)
+    layout, masked = codeword_layout(version, level), _masked(version, level, mask)
     modules = masked.symbol.copy()
     signs = (1 - 2 * np.unpackbits(codewords).view(np.int8)) * masked.signs
-    modules[codeword_layout(version, level).bits[masked.printed]] = signs[masked.printed]
+    printed = slice(None) if layout.printed is None else layout.printed
+    modules[layout.bits[printed]] = signs[printed]
     return modules.reshape(roles_of(version).known.shape)
 
 
@@ -235,14 +244,11 @@ class _Masked:
     ----------
     signs : (8 n,) int8
         Of the mask, in the order of the codewords' bits; 0 for bits that are not printed.
-    printed : (k,) intp or slice
-        Bits that are.
     symbol : (r r,) int8
         All other modules.
     """
 
     signs: NDArray[np.int8]
-    printed: NDArray[np.intp] | slice
     symbol: NDArray[np.int8]
 
 
@@ -256,7 +262,6 @@ def _masked(version: Version, level: ErrorLevel | None, mask: int) -> _Masked:
     signs = np.where(bits < 0, 0, mask_signs(version)[mask][bits])
     return _Masked(
         signs=read_only(signs.astype(np.int8)),
-        printed=slice(None) if (bits >= 0).all() else np.flatnonzero(bits >= 0),
         symbol=read_only(symbol),
     )
 

@@ -119,6 +119,11 @@ class ReedSolomon:
             raise ValueError(f"first_root must be 0 to {self.field.order - 1}, got {self.first_root}")
 
     @property
+    def width(self) -> int:
+        """Bits of a symbol, m."""
+        return self.polynomial.bit_length() - 1
+
+    @property
     def field(self) -> GaloisField:
         """The field of its symbols."""
         return galois_field(self.polynomial)

@@ -10,7 +10,12 @@ from dataclasses import dataclass
 from types import MappingProxyType
 from typing import Any
 
+import numpy as np
+from numpy.typing import NDArray
+
+from evqr.config import DecodeConfig
 from evqr.symbol import micro_qr, qr
+from evqr.symbol.decoded import Decoded, DecodeFailure, Effort
 from evqr.symbol.space import CodeSpace, Symbology, Version
 
 
@@ -24,16 +29,20 @@ class Symbol:
         Rows and columns of every version, the smallest first; known without loading anything.
     space : callable
         Gives the code space of a version.
+    decode : callable
+        Gives what a grid says, of the grid (V, U) float64, its space, the configuration and the effort; as
+        `evqr.symbol.decode.decode_grid`, but in one orientation and unchecked.
     """
 
     sizes: Mapping[Any, tuple[int, int]]
     space: Callable[[Any], CodeSpace]
+    decode: Callable[[NDArray[np.float64], CodeSpace, DecodeConfig, Effort], Decoded | DecodeFailure]
 
 
 SYMBOLS: Mapping[Symbology, Symbol] = MappingProxyType(
     {
-        Symbology.QR_CODE: Symbol(sizes=qr.SIZES, space=qr.space),
-        Symbology.MICRO_QR_CODE: Symbol(sizes=micro_qr.SIZES, space=micro_qr.space),
+        Symbology.QR_CODE: Symbol(sizes=qr.SIZES, space=qr.space, decode=qr.decode),
+        Symbology.MICRO_QR_CODE: Symbol(sizes=micro_qr.SIZES, space=micro_qr.space, decode=micro_qr.decode),
     }
 )
 

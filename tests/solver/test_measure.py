@@ -13,7 +13,8 @@ from evqr.fit.model import QUIET_MODULES, lattice, profiles
 from evqr.fit.modules import REACH, SUPPORT, Solution
 from evqr.fit.region import region_around
 from evqr.symbol import qr
-from evqr.symbol.decode import Decoded, decode_grid
+from evqr.symbol.decode import decode_grid
+from evqr.symbol.decoded import Decoded
 
 CONFIG = ReadConfig()
 LAG_PX = (0.4, 0.7)

@@ -13,7 +13,8 @@ from evqr.fit.modules import solve_modules
 from evqr.search.motion_estimate import Motion
 from evqr.solver import Sighting, Solver, Unseen
 from evqr.symbol import qr
-from evqr.symbol.decode import Decoded, decode_grid
+from evqr.symbol.decode import decode_grid
+from evqr.symbol.decoded import Decoded
 
 
 @pytest.fixture(scope="module")

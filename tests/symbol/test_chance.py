@@ -8,7 +8,11 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from evqr.symbol.chance import count_pads, log_chance_contents, log_tail
+from evqr.symbol.chance import confidence, count_pads, log_chance, log_padded_contents, log_tail
+
+
+def log_chance_contents(agreement, n_data, n_pads):
+    return log_chance(agreement, log_padded_contents(n_data, n_pads))
 
 
 def exact_log_tail(n, n_wrong):
@@ -83,3 +87,18 @@ def test_two_bits_wrong_of_version_1_l_are_the_last_beyond_one_in_a_billion():
 )
 def test_pads_are_counted_from_the_end(data, n_pads):
     assert count_pads(np.array(data, np.uint8)) == n_pads
+
+
+def test_confidence_weighs_chance_against_the_prior():
+    assert confidence(-math.inf, 1e6) == 1.0
+    assert confidence(math.log(1e-6), 1e6) == pytest.approx(0.5)
+    assert confidence(math.log(1e-9), 1e6) == pytest.approx(0.999, abs=1e-5)
+
+
+def test_m1_has_just_the_evidence_that_is_asked_for():
+    """51 modules, 4 words, 2 orientations, 111,110 contents: chance.py, "What may be tried in a grid"."""
+    contents = math.log(2 * 4 * 111_110)
+    agreement = np.ones(51)
+    assert confidence(log_chance(agreement, contents), 1e6) > 0.999
+    agreement[0] = -1.0
+    assert confidence(log_chance(agreement, contents), 1e6) < 0.999

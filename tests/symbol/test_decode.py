@@ -10,10 +10,11 @@ import zxingcpp
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from evqr.config import DecodeConfig
 from evqr.reason import Reason
 from evqr.symbol import qr
-from evqr.symbol.decode import DecodeConfig, Decoded, DecodeFailure
 from evqr.symbol.decode import decode_grid as decode_space
+from evqr.symbol.decoded import Decoded, DecodeFailure
 from evqr.symbol.qr_codewords import LEVELS, codeword_layout, format_words, mask_signs, roles_of, symbol_of
 
 

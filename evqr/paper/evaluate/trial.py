@@ -16,7 +16,8 @@ from evqr.paper.methods.integrate import decode, stretch
 from evqr.paper.methods.method import Method, Outcome, cut
 from evqr.paper.methods.pattern import find_code
 from evqr.symbol import qr
-from evqr.symbol.decode import Decoded, decode_grid
+from evqr.symbol.decode import decode_grid
+from evqr.symbol.decoded import Decoded
 from evqr.symbol.qr_codewords import ErrorLevel, codeword_layout
 
 CONTRAST = 2.4

@@ -50,7 +50,8 @@ from evqr.search.finder import find_hypotheses
 from evqr.search.screen import screen
 from evqr.solver import Solver, StageClock
 from evqr.symbol import qr
-from evqr.symbol.decode import Decoded, decode_grid
+from evqr.symbol.decode import decode_grid
+from evqr.symbol.decoded import Decoded
 from evqr.workspace import Workspace
 from evqr_kernels.config import SplatConfig
 

@@ -11,7 +11,8 @@ from evqr.fit.fusion import Tally
 from evqr.paper.methods.method import Outcome, Watch, cut
 from evqr.solver import Sighting, Solver
 from evqr.symbol import qr
-from evqr.symbol.decode import Decoded, decode_grid
+from evqr.symbol.decode import decode_grid
+from evqr.symbol.decoded import Decoded
 
 
 class Own:

@@ -15,7 +15,8 @@ from evqr.paper.methods.pattern import find_code
 from evqr.paper.methods.without_qr import WithoutQr, WithoutQrConfig, descend
 from evqr.simulate import simulate
 from evqr.symbol import qr
-from evqr.symbol.decode import Decoded, decode_grid
+from evqr.symbol.decode import decode_grid
+from evqr.symbol.decoded import Decoded
 
 TEXT, VERSION, SPEED_PX_MS = "METHODS", 2, 5.0
 

@@ -1,0 +1,182 @@
+"""One Reed-Solomon block of soft bits, its least reliable words erased until the result is beyond chance.
+
+The judge is `evqr.symbol.chance`: a corrected block counts when fewer contents than allowed would be expected
+to agree with its modules as well by chance.
+"""
+
+from __future__ import annotations
+
+import functools
+import math
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from evqr.config import DecodeConfig
+from evqr.reason import Reason
+from evqr.symbol.chance import log_chance
+from evqr.symbol.decoded import Effort
+from evqr.symbol.reed_solomon import ReedSolomon, Symbols
+
+# In units of a block's mean |q|, measured on symbols with even and with patchy Gaussian noise.  A module
+# stronger than the cap counts no more than the cap: where it is wrong, it is dirt rather than noise.
+_WEIGHT_CAP = 2.0
+_LOG_ODDS = 4.0
+_TINY = float(np.finfo(np.float64).tiny)
+
+
+@dataclass(frozen=True, eq=False, kw_only=True)
+class Corrected:
+    """A block that is right beyond chance.
+
+    Attributes
+    ----------
+    words : (n,) uint8 or uint16
+        Data and check words.
+    changed : int
+        Words that differ from those received.
+    erased : int
+        Words that were erased.
+    spare : int
+        Check words that were not needed.
+    log_chance : float
+        Natural logarithm of the number of contents expected to agree as well by chance.
+    """
+
+    words: Symbols
+    changed: int
+    erased: int
+    spare: int
+    log_chance: float
+
+
+@dataclass(frozen=True, kw_only=True)
+class Doubt:
+    """Why a block could not be corrected: the reason, and what it was in this case."""
+
+    reason: Reason
+    detail: str
+
+
+def words_of(dark: NDArray[np.bool_], code: ReedSolomon) -> Symbols:
+    """Return bits, most significant first, as words (n,) of a code: uint8 or uint16."""
+    width = code.width
+    if width == 8:
+        return np.packbits(dark)
+    return (dark.reshape(-1, width) @ (1 << np.arange(width)[::-1])).astype(code.field.power.dtype)
+
+
+def bits_of(words: Symbols, code: ReedSolomon) -> NDArray[np.bool_]:
+    """Return the bits of words of a code, most significant first."""
+    width = code.width
+    if width == 8:
+        return np.unpackbits(words).view(np.bool_)
+    return (words[:, None] >> np.arange(width)[::-1] & 1).astype(np.bool_).ravel()
+
+
+def correct_block(
+    soft: NDArray[np.float64],
+    code: ReedSolomon,
+    log_contents: Callable[[Symbols], float],
+    *,
+    log_limit: float,
+    config: DecodeConfig,
+    effort: Effort,
+    printed: NDArray[np.bool_] | None = None,
+    beside: NDArray[np.float64] | None = None,
+) -> Corrected | Doubt:
+    """Correct one block.
+
+    Parameters
+    ----------
+    soft : (width n,) float64
+        Modules of its bits, the mask undone, most significant bit first: below 0 for a 1, above 0 for a 0.
+    code : ReedSolomon
+        What the block is a word of.
+    log_contents : callable
+        Gives the natural logarithm of the number of contents that a corrected block might as well have had.
+    log_limit : float
+        Natural logarithm of the largest acceptable number of chance contents.
+    config : DecodeConfig
+        How hard to try.
+    effort : {"quick", "full"}
+        Few numbers of erasures, or all.
+    printed : (width n,) bool, optional
+        Bits that have a module; the others are 0 in every symbol, and 0 in ``soft``.  Default all.
+    beside : (k,) float64, optional
+        Further modules that a chance content would have to agree with, times +1 where they do, else -1.
+
+    Returns
+    -------
+    Corrected or Doubt
+        The first result beyond chance, or why there is none.
+    """
+    ones = soft < 0.0
+    received = words_of(ones, code)
+    syndromes = code.syndromes(received)
+    strength = np.abs(soft)
+    scale = _mean(strength if beside is None else np.concatenate([strength, np.abs(beside)]))
+    strength /= scale
+    weights = np.minimum(strength, _WEIGHT_CAP)
+    others = None if beside is None else np.clip(beside / scale, -_WEIGHT_CAP, _WEIGHT_CAP)
+
+    least = math.inf
+    doubtful: list[int] = []
+    for n_erased in _tries(code.n_check, config, effort):
+        if n_erased and not doubtful:
+            doubtful = _doubtful(strength, printed, code.width)
+        words = code.correct(received, doubtful[:n_erased], syndromes=syndromes)
+        if words is None:
+            continue
+        bits = bits_of(words, code)
+        if printed is not None and bits[~printed].any():
+            continue
+        agreement = np.where(ones == bits, weights, -weights)
+        if others is not None:
+            agreement = np.concatenate([agreement, others])
+        chance = log_chance(agreement, log_contents(words))
+        if chance <= log_limit:
+            changed = set(np.flatnonzero(words != received).tolist())
+            n_errors = len(changed.difference(doubtful[:n_erased]))
+            return Corrected(
+                words=words,
+                changed=len(changed),
+                erased=n_erased,
+                spare=code.n_check - n_erased - 2 * n_errors,
+                log_chance=chance,
+            )
+        least = min(least, chance)
+    if least < 0.0:
+        chance, limit = least / math.log(10.0), log_limit / math.log(10.0)
+        detail = f"10^{chance:.1f} contents would agree as well, 10^{limit:.1f} allowed"
+        return Doubt(reason=Reason.POSSIBLY_CHANCE, detail=detail)
+    detail = f"too many of {len(received)} codewords wrong for {code.n_check} check codewords"
+    return Doubt(reason=Reason.TOO_MANY_ERRORS, detail=detail)
+
+
+def _mean(strength: NDArray[np.float64]) -> float:
+    return max(float(strength.sum()) / len(strength), _TINY)
+
+
+def _doubtful(strength: NDArray[np.float64], printed: NDArray[np.bool_] | None, width: int) -> list[int]:
+    """Return the words, the least certain first."""
+    # Log probability that all bits of a word are right, with Gaussian noise of typical strength.
+    log_right = -np.logaddexp(0.0, -_LOG_ODDS * strength)
+    if printed is not None:
+        log_right *= printed
+    return np.argsort(log_right.reshape(-1, width).sum(1), kind="stable").tolist()
+
+
+@functools.cache
+def _tries(n_check: int, config: DecodeConfig, effort: Effort) -> list[int]:
+    """Return the numbers of words to erase, in turn.
+
+    Besides none, as many as leave an even number of check words: one error takes two of them.
+    """
+    tries = sorted({0, *range(n_check % 2, n_check - config.min_check + 1, 2)})
+    if effort == "full":
+        return tries
+    chosen = np.linspace(0, len(tries) - 1, num=config.quick_tries).round().astype(int)
+    return [tries[i] for i in sorted(set(chosen.tolist()))]

@@ -1,0 +1,99 @@
+"""What comes of a module grid: a reading, or the reason why there is none."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Literal
+
+import numpy as np
+from numpy.typing import NDArray
+
+from evqr.reason import Reason
+from evqr.symbol.space import CodeSpace, Symbology, Version
+
+Effort = Literal["quick", "full"]
+
+
+@dataclass(frozen=True, eq=False, kw_only=True)
+class Decoded:
+    """A symbol, read.
+
+    Attributes
+    ----------
+    text : str
+        The payload.
+    data : bytes
+        The payload, as it is in the symbol.
+    space : CodeSpace
+        Kind and size of the symbol.
+    ec_level : str, optional
+        Level of error correction, "L", "M", "Q" or "H"; None where there are no levels.
+    mask : int, optional
+        Number of the mask; None where there are none.
+    mirrored : bool
+        The grid was the transpose of the symbol.
+    errors_corrected : int
+        Codewords that error correction changed, erased ones included.
+    erasures : int
+        Codewords that were erased.
+    spare : int
+        Unused check codewords, n_check - 2 errors - erasures: the least over the blocks.
+    modules : (V, U) int8
+        The exact symbol, in the orientation of the grid: -1 dark, +1 light.
+    log10_chance : float
+        Decimal logarithm of the number of contents expected to agree as well by chance, as worked out in
+        `evqr.symbol.chance`.
+    confidence : float
+        1 / (1 + wrong_grids 10^log10_chance): that the text is right, 0 to 1.
+    """
+
+    text: str
+    data: bytes
+    space: CodeSpace
+    ec_level: str | None = None
+    mask: int | None = None
+    mirrored: bool = False
+    errors_corrected: int
+    erasures: int
+    spare: int
+    modules: NDArray[np.int8]
+    log10_chance: float
+    confidence: float
+
+    @property
+    def symbology(self) -> Symbology:
+        """Kind of the symbol."""
+        return self.space.symbology
+
+    @property
+    def version(self) -> Version:
+        """Size of the symbol: an int for QR codes, text for others."""
+        return self.space.version
+
+
+@dataclass(frozen=True, kw_only=True)
+class DecodeFailure:
+    """A grid that does not decode.
+
+    Attributes
+    ----------
+    reason : Reason
+        Why.
+    detail : str
+        What it was in this case.
+    space : CodeSpace
+        Kind and size that were taken for granted.
+    ec_level : str, optional
+        Of the most likely format; None where it is unreadable, or there are no levels.
+    mask : int, optional
+        Of the most likely format; None where it is unreadable, or there are no masks.
+    """
+
+    reason: Reason
+    detail: str
+    space: CodeSpace
+    ec_level: str | None = None
+    mask: int | None = None
+
+    def __str__(self) -> str:
+        return self.reason.explained(self.detail)
