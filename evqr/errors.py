@@ -32,6 +32,23 @@ class RecordingError(EvqrError, ValueError):
     reason = Reason.SOURCE_ERROR
 
 
+class StreamChoice(RecordingError):
+    """A recording with several event streams, of which one must be named.
+
+    Attributes
+    ----------
+    streams : tuple of str
+        Their names.
+    """
+
+    def __init__(self, message: str, streams: tuple[str, ...]) -> None:
+        super().__init__(message, streams)  # both, so that it can be pickled and come back from a worker
+        self.streams = streams
+
+    def __str__(self) -> str:
+        return str(self.args[0])
+
+
 class MissingExtra(EvqrError, ImportError):
     """A format or option needs an optional package; the message names the pip command."""
 

@@ -13,7 +13,10 @@ from evqr.reason import Reason
 from evqr.results import ReadResult, ReadStatus
 
 if TYPE_CHECKING:
+    from typing_extensions import Unpack
+
     from evqr.config import ReadConfig
+    from evqr.recording import RecordingOptions
 
 
 def read_many(
@@ -21,11 +24,10 @@ def read_many(
     *,
     executor: Executor | None = None,
     config: ReadConfig | None = None,
-    sensor: tuple[int, int] | None = None,
-    time_unit: str | None = None,
     backend: str = "auto",
     device: str = "cpu",
     threads: int | None = None,
+    **opening: Unpack[RecordingOptions],
 ) -> Iterator[ReadResult]:
     """Read many recordings; one that cannot be read is a result with its error and stops nothing.
 
@@ -37,7 +39,7 @@ def read_many(
     executor
         Any `concurrent.futures.Executor`, Dask's ``client.get_executor()`` included; the caller closes it.
         None: in this thread, one by one.
-    config, sensor, time_unit, backend, device, threads
+    config, backend, device, threads, opening
         As for `read_codes`, the same for every source.
 
     Yields
@@ -49,11 +51,10 @@ def read_many(
     read = partial(
         _read_one,
         config=config,
-        sensor=sensor,
-        time_unit=time_unit,
         backend=backend,
         device=device,
         threads=threads,
+        **opening,
     )
     if executor is None:
         yield from map(read, sources)

@@ -24,8 +24,10 @@ from evqr.symbol.decode import decode_grid
 from evqr.symbol.decoded import Decoded, DecodeFailure
 
 if TYPE_CHECKING:
+    from typing_extensions import Unpack
+
     from evqr.config import ReadConfig
-    from evqr.recording import TimeUnit
+    from evqr.recording import RecordingOptions
 
 WINDOWS_A_JOB = 4
 """Windows that a thread reads before it asks for more: each time it may have to wait for the GIL."""
@@ -35,12 +37,11 @@ def read_codes(
     source: Any,
     *,
     config: ReadConfig | None = None,
-    sensor: tuple[int, int] | None = None,
-    time_unit: TimeUnit | None = None,
     backend: str = "auto",
     device: str = "cpu",
     threads: int | None = None,
     progress: Progress | None = None,
+    **opening: Unpack[RecordingOptions],
 ) -> ReadResult:
     """Read every code that passes, each once.
 
@@ -48,12 +49,11 @@ def read_codes(
     ----------
     source      path, `EventArray`, structured array, (t, x, y, p) arrays, or an open `Recording`
     config      what to do; default `ReadConfig()`
-    sensor      (width, height) where the source does not tell [px]
-    time_unit   "us", "ms", "s" or "ns" where neither source nor numbers tell
     backend     "auto", "warp", "numpy", or a registered name
     device      "cpu", "cuda:0", ...
     threads     windows searched at once; default 1, at most as many as there are cores
     progress    called with the event time done and the whole duration, None while unknown [us]
+    opening     what `open_recording` takes: sensor, time_unit, stream, columns, strict, start_us, end_us
 
     Returns
     -------
@@ -66,7 +66,7 @@ def read_codes(
     """
     started = time.perf_counter()
     with ExitStack() as stack:
-        recording, path = _open(source, sensor, time_unit, stack)
+        recording, path = _open(source, opening, stack)
         solvers, pool = _solvers(threads, stack, config=config, backend=backend, device=device)
         passes = Passes(solvers, Feed(recording), recording, pool=pool, progress=progress)
         passes.run()
@@ -85,12 +85,12 @@ def read_codes(
     )
 
 
-def _open(
-    source: Any, sensor: tuple[int, int] | None, time_unit: TimeUnit | None, stack: ExitStack
-) -> tuple[Recording, str]:
+def _open(source: Any, opening: RecordingOptions, stack: ExitStack) -> tuple[Recording, str]:
     if isinstance(source, Recording):
+        if opening:
+            raise TypeError(f"a Recording is open already: pass {', '.join(opening)} to open_recording")
         return source, source.path
-    recording = stack.enter_context(open_recording(source, sensor=sensor, time_unit=time_unit))
+    recording = stack.enter_context(open_recording(source, **opening))
     return recording, recording.path
 
 
@@ -98,12 +98,11 @@ def read_windows(
     source: Any,
     *,
     config: ReadConfig | None = None,
-    sensor: tuple[int, int] | None = None,
-    time_unit: TimeUnit | None = None,
     backend: str = "auto",
     device: str = "cpu",
     threads: int | None = None,
     progress: Progress | None = None,
+    **opening: Unpack[RecordingOptions],
 ) -> Iterator[WindowReading]:
     """Read windows spread evenly over a recording, each alone and from cold.
 
@@ -116,7 +115,7 @@ def read_windows(
     WindowReading   in order of time
     """
     with ExitStack() as stack:
-        recording, _ = _open(source, sensor, time_unit, stack)
+        recording, _ = _open(source, opening, stack)
         solvers, pool = _solvers(threads, stack, config=config, backend=backend, device=device)
         events = Feed(recording)
         if pool is None:

@@ -22,14 +22,14 @@ from evqr.cli.options import (
     progress_bar,
     recording_options,
 )
-from evqr.errors import UsageError
+from evqr.errors import StreamChoice, UsageError
 from evqr.output import records
 from evqr.results import ReadResult, ReadStatus
 from evqr.values import json_line
 
 if TYPE_CHECKING:
     from evqr.config import ReadConfig
-    from evqr.recording import Recording, TimeUnit
+    from evqr.recording import Recording, RecordingOptions
 
 
 @click.command(
@@ -72,8 +72,7 @@ if TYPE_CHECKING:
 def read(
     recordings: tuple[Path, ...],
     as_json: bool,
-    sensor: tuple[int, int] | None,
-    time_unit: TimeUnit | None,
+    opening: RecordingOptions,
     window_us: int | None,
     max_windows: int | None,
     each_window: bool,
@@ -101,14 +100,13 @@ def read(
         require_drawable(picture)
     config = _read_config(window_us=window_us, max_windows=max_windows, lag_us=lag_us, vote=vote)
     compute = {"config": config, "backend": backend, "device": device}
-    told = {"sensor": sensor, "time_unit": time_unit}
     if len(recordings) != 1:
         _prepare(backend, device)
-        return _read_many(recordings, jobs, as_json, threads=threads, **told, **compute)
+        return _read_many(recordings, jobs, as_json, threads=threads, **opening, **compute)
 
     from evqr.recording import open_recording
 
-    with open_recording(recordings[0], **told) as recording:
+    with open_recording(recordings[0], **opening) as recording:
         _prepare(backend, device)
         if each_window:
             status = _read_each_window(recording, as_json, threads=threads, **compute)
@@ -208,12 +206,20 @@ def _exit_status(statuses: Sequence[ReadStatus]) -> int:
 @click.argument("recording", metavar="RECORDING", type=click.Path(path_type=Path))
 @click.option("--json", "as_json", is_flag=True, help="One JSON object on stdout.")
 @recording_options
-def info(recording: Path, as_json: bool, sensor: tuple[int, int] | None, time_unit: TimeUnit | None) -> int:
-    """Tell what a recording holds, and anything suspicious in it."""
+def info(recording: Path, as_json: bool, opening: RecordingOptions) -> int:
+    """Tell what a recording holds, and anything suspicious in it.
+
+    Of a recording with several event streams their names are told; --stream NAME tells of one.
+    """
     from evqr.recording import open_recording, summarise
 
-    with open_recording(recording, sensor=sensor, time_unit=time_unit) as opened:
-        found = summarise(opened)
+    try:
+        with open_recording(recording, **opening) as opened:
+            found = summarise(opened)
+    except StreamChoice as choice:
+        record = {"path": str(recording), "streams": list(choice.streams)}
+        click.echo(json_line(record) if as_json else records.streams_text(choice.streams))
+        return OK
     click.echo(json_line(records.info_record(found)) if as_json else records.info_text(found))
     return OK
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import functools
 import multiprocessing
 import os
 import signal
@@ -31,12 +32,14 @@ class SizeType(click.ParamType):
         """Return (width, height)."""
         if isinstance(value, tuple):
             return value
-        width, _, height = str(value).lower().partition("x")
-        if not (width.isdecimal() and height.isdecimal() and int(width) and int(height)):
+        from evqr.recording.declared import parse_size
+
+        size = parse_size(str(value))
+        if size is None or min(size) < 1:
             self.fail(
                 f"{value!r} is no sensor size; write it as width x height, for example 640x480", param, ctx
             )
-        return int(width), int(height)
+        return size
 
 
 class LagType(click.ParamType):
@@ -72,19 +75,50 @@ def examples(*lines: str) -> str:
 
 
 def recording_options(command: Callable[..., Any]) -> Callable[..., Any]:
-    """Add the options that say what a recording does not."""
-    for option in (
-        click.option(
-            "--time-unit",
-            type=click.Choice(["us", "ms", "s", "ns"]),
-            help="Unit of the stored time stamps, where the recording does not tell.",
-        ),
-        click.option(
-            "--sensor", type=SizeType(), metavar="WxH", help="Sensor size, where the recording does not tell."
-        ),
-    ):
-        command = option(command)
-    return command
+    """Add the options that say what a recording does not, and what of it to read.
+
+    The command gets them together, as ``opening``: the keywords of `evqr.open_recording`.
+    """
+
+    @functools.wraps(command)
+    def with_opening(*args: Any, **given: Any) -> Any:
+        opening = {name: given.pop(name) for name in _OPENING}
+        return command(*args, opening={k: v for k, v in opening.items() if v not in (None, False)}, **given)
+
+    for option in reversed(_OPENING.values()):
+        with_opening = option(with_opening)
+    return with_opening
+
+
+_OPENING = {
+    "sensor": click.option(
+        "--sensor", type=SizeType(), metavar="WxH", help="Sensor size, where the recording does not tell."
+    ),
+    "time_unit": click.option(
+        "--time-unit",
+        type=click.Choice(["us", "ms", "s", "ns"]),
+        help="Unit of the stored time stamps, where the recording does not tell.",
+    ),
+    "stream": click.option(
+        "--stream", metavar="NAME", help="Which of several event streams, groups or topics; see evqr info."
+    ),
+    "columns": click.option(
+        "--columns",
+        metavar="t,x,y,p",
+        help="What the columns of a table without names are, in their order; - for any other.",
+    ),
+    "start_us": click.option(
+        "--start-us", type=int, metavar="N", help="Leave out what was before this time of the recording."
+    ),
+    "end_us": click.option(
+        "--end-us", type=int, metavar="N", help="Leave out what was at this time or later."
+    ),
+    "strict": click.option(
+        "--strict",
+        is_flag=True,
+        help="Refuse a recording with one wrong event, and one that is cut short.",
+    ),
+}
 
 
 def backend_options(command: Callable[..., Any]) -> Callable[..., Any]:

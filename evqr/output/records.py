@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import asdict
 from typing import TYPE_CHECKING, Any
 
@@ -86,14 +86,21 @@ def info_text(info: RecordingInfo) -> str:
     return "\n".join(
         (
             f"format      {printable(info.format)}",
+            *(f"streams     {printable(', '.join(info.streams))}" for _ in info.streams[1:2]),
             f"sensor      {info.width}x{info.height}",
             f"events      {info.events:,}: {info.on:,} brighter, {info.off:,} darker",
             f"duration    {info.duration_us / 1000:.3f} ms: from {info.t_first_us} to {info.t_last_us} us",
             f"time unit   {info.time_unit}: {info.time_unit_reason}",
             f"rate        {info.mean_rate:,.0f} events/s, {info.peak_rate:,.0f} in the busiest millisecond",
+            *(f"note        {printable(line)}" for line in info.notes),
             *(f"suspicious  {printable(line)}" for line in info.suspicious or ("nothing",)),
         )
     )
+
+
+def streams_text(streams: Sequence[str]) -> str:
+    """Name the event streams of a recording that holds several."""
+    return "\n".join((*(f"stream      {printable(name)}" for name in streams), "tell of one: --stream NAME"))
 
 
 def printable(text: str) -> str:

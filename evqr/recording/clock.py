@@ -1,16 +1,15 @@
 """What the clock of a recording did: stamps that stand alone, and clocks that were reset.
 
-Consecutive stamps that differ by more than `MAX_DISORDER_US` break a recording into runs.  A run that goes on
-where the last left off is trusted.  One that lies elsewhere waits: when the clock comes back to where it was,
-those were stray stamps, which are left out; when it does not for as long as `MAX_DISORDER_US` and
-`FEW_EVENTS`, a run behind is a clock that was reset, and a run ahead follows a silence.
+A stamp within `MAX_DISORDER_US` of the newest before it goes on where the recording is.  Others wait: when
+the clock comes back to where it was, they were stray, and are left out; when it stays where they are for
+`MAX_DISORDER_US` and `FEW_EVENTS`, then those behind are of a clock that was reset, and those ahead follow a
+silence.
 """
 
 from __future__ import annotations
 
-from itertools import pairwise
-
 import numpy as np
+from numpy.typing import NDArray
 
 from evqr.events.array import EventArray
 
@@ -24,6 +23,8 @@ FEW_EVENTS = 16
 
 EPOCH_GAP_US = 2 * MAX_DISORDER_US
 """What is put between a clock's last stamp and the first after its reset; the true time is not known."""
+
+_NEVER = int(np.iinfo(np.int64).max)
 
 
 class ClockWatch:
@@ -40,24 +41,29 @@ class ClockWatch:
         self._waiting: list[EventArray] = []
         self._waiting_events = self._waiting_from = 0
         self._waiting_newest = -1
+        self._home_us = _NEVER  # from when on the clock is back where it was, if what waits is behind
 
     def push(self, events: EventArray) -> list[EventArray]:
         """Take the next events of the file, not empty; return those that can be trusted by now."""
-        if self._shift_us:
-            events = _shifted(events, self._shift_us)
-        t = events.t
-        steps = np.diff(t)
-        even = not steps.size or (steps.max() <= MAX_DISORDER_US and steps.min() >= -MAX_DISORDER_US)
-        if even and not self._waiting and self._goes_on(int(t[0])):
-            self._newest = max(int(t.max()), self._newest or 0)
-            self._arrived += len(t)
-            return [events]
         ready: list[EventArray] = []
-        edges = [0, *(np.flatnonzero(np.abs(steps) > MAX_DISORDER_US) + 1).tolist(), len(t)]
-        shift_us = self._shift_us
-        for first, last in pairwise(edges):
-            # a reset may have been found among the runs before
-            self._take(_shifted(events.cut(first, last), self._shift_us - shift_us), ready)
+        shift_us = 0
+        while len(events):
+            # A clock that was reset is put later: also what comes after in the same chunk.
+            events, shift_us = _shifted(events, self._shift_us - shift_us), self._shift_us
+            stamp = int(events.t[0])
+            if self._waiting and not self._near(stamp):
+                self._settle_waiting(stamp, ready)
+                if self._shift_us != shift_us:
+                    continue
+            if self._waiting or not self._near(stamp):
+                count = self._wait(events, ready)
+            else:
+                assert self._newest is not None
+                count = _even(events.t, self._newest)
+                self._newest = max(self._newest, int(events.t[:count].max()))
+                ready.append(events.cut(0, count))
+            self._arrived += count
+            events = events.cut(count, len(events))
         return ready
 
     def finish(self) -> list[EventArray]:
@@ -69,23 +75,14 @@ class ClockWatch:
             self._drop_waiting()
         return ready
 
-    def _goes_on(self, stamp: int) -> bool:
+    def _near(self, stamp: int) -> bool:
+        """Whether a stamp goes on with what waits, or else with what is trusted."""
+        if self._waiting:
+            return abs(stamp - self._waiting_newest) <= MAX_DISORDER_US and stamp < self._home_us
         return self._newest is not None and abs(stamp - self._newest) <= MAX_DISORDER_US
 
-    def _take(self, run: EventArray, ready: list[EventArray]) -> None:
-        shift_us = self._shift_us
-        if self._waiting:
-            self._settle_waiting(int(run.t[0]), ready)
-            run = _shifted(run, self._shift_us - shift_us)
-        if not self._waiting and self._goes_on(int(run.t[0])):
-            self._newest = max(int(run.t.max()), self._newest or 0)
-            ready.append(run)
-        else:
-            self._wait(run, ready)
-        self._arrived += len(run)
-
     def _settle_waiting(self, stamp: int, ready: list[EventArray]) -> None:
-        """Decide on what waits, if the next stamp tells."""
+        """Decide on what waits, if the next stamp, which does not go on with it, tells."""
         back = stamp < self._waiting_newest - MAX_DISORDER_US
         home = self._newest is None or stamp >= self._newest - MAX_DISORDER_US
         many = self._waiting_events >= FEW_EVENTS
@@ -100,18 +97,23 @@ class ClockWatch:
         elif back:
             self._drop_waiting()
 
-    def _wait(self, run: EventArray, ready: list[EventArray]) -> None:
+    def _wait(self, events: EventArray, ready: list[EventArray]) -> int:
+        """Let the first of some events wait; return how many."""
+        stamp = int(events.t[0])
         if not self._waiting:
-            behind = self._newest is not None and run.t[0] < self._newest
-            if behind and self._faults.strict:
-                self._faults.leave_out(len(run), self._jump_to(int(run.t[0]), self._arrived), _ADVICE)
-            self._waiting_from, self._waiting_events, self._waiting_newest = self._arrived, 0, -1
-        self._waiting.append(run)
-        self._waiting_events += len(run)
-        self._waiting_newest = max(self._waiting_newest, int(run.t.max()))
+            if self._faults.strict and self._newest is not None and stamp < self._newest:
+                self._faults.leave_out(1, self._jump_to(stamp, self._arrived), _ADVICE)
+            self._waiting_from, self._waiting_events, self._waiting_newest = self._arrived, 0, stamp
+            behind = self._newest is not None and stamp < self._newest
+            self._home_us = (self._newest or 0) - MAX_DISORDER_US if behind else _NEVER
+        count = _even(events.t, max(self._waiting_newest, stamp), self._home_us)
+        self._waiting.append(events.cut(0, count))
+        self._waiting_events += count
+        self._waiting_newest = max(self._waiting_newest, int(events.t[:count].max()))
         lasted_us = self._waiting_newest - int(self._waiting[0].t[0])
         if self._waiting_events >= FEW_EVENTS and lasted_us > MAX_DISORDER_US:
             self._trust_waiting(ready)
+        return count
 
     def _ahead(self) -> bool:
         return self._newest is None or int(self._waiting[0].t[0]) > self._newest
@@ -120,7 +122,7 @@ class ClockWatch:
         parts, self._waiting = self._waiting, []
         stamp = int(parts[0].t[0])
         if self._newest is not None and stamp < self._newest:
-            shift_us = self._newest + EPOCH_GAP_US - min(int(part.t.min()) for part in parts)
+            shift_us = self._newest + EPOCH_GAP_US - stamp
             before, after = self._newest - self._shift_us, stamp - self._shift_us
             self._shift_us += shift_us
             problem = f"from {before} us to {after} us at event {self._waiting_from:,}"
@@ -143,6 +145,20 @@ class ClockWatch:
 
 
 _ADVICE = f"up to {MAX_DISORDER_US:,} us are sorted, more is refused: cut the recording there"
+
+
+def _even(t: NDArray[np.int64], newest: int, until: int = _NEVER) -> int:
+    """How many stamps, at least one, are within `MAX_DISORDER_US` of the newest before, below ``until``."""
+    done, size = 0, 1024
+    while done < len(t):
+        part = t[done : done + size]
+        before = np.maximum.accumulate(np.concatenate([[newest], part[:-1]]))
+        odd = (np.abs(part - before) > MAX_DISORDER_US) | (part >= until)
+        if np.any(odd):
+            return max(done + int(np.argmax(odd)), 1)
+        newest = max(int(before[-1]), int(part[-1]))
+        done, size = done + len(part), 4 * size
+    return len(t)
 
 
 def _shifted(events: EventArray, shift_us: int) -> EventArray:

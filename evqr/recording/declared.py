@@ -70,7 +70,7 @@ def parse_unit(value: Any) -> TimeUnit | None:
     value = plain(value)
     if value is None or isinstance(value, bool):
         return None
-    text = str(value).strip().strip("[](){}<>'\" .").split(" since ")[0].casefold().strip()
+    text = str(value).casefold().strip().strip("[](){}<>'\" .").split(" since ")[0].strip()
     if text in UNIT_NAMES:
         return UNIT_NAMES[text]
     scale = re.fullmatch(r"([\d.]+(?:e[+-]?\d+)?)\s*([^\d\s]*)", text.replace("10^", "1e"))

@@ -83,7 +83,7 @@ def _open(path: str) -> tuple[h5py.File, list[str]]:
         try:
             return h5py.File(path, "r"), []
         except OSError as error:
-            if "SWMR" not in str(error):
+            if "h5clear" not in str(error):
                 raise
             try:
                 file = h5py.File(path, "r", swmr=True)

@@ -189,7 +189,8 @@ def _matrix(dataset: h5py.Dataset, place: str, width: int) -> Layout | None:
     parts: list[Column] = []
     if dataset.ndim == 2 and dataset.dtype.kind in "biuf" and width in dataset.shape:
         along = 0 if dataset.shape[1] == width else 1
-        parts = [Column(dataset, index=i, along=along) for i in range(width)]
+        if dataset.shape[along] > width:  # so small a matrix could be either way round
+            parts = [Column(dataset, index=i, along=along) for i in range(width)]
     elif dataset.ndim == 1 and dataset.dtype.names:  # as pandas writes tables
         fields = [f for f in dataset.dtype.names if dataset.dtype[f].shape == (width,)]
         parts = [Column(dataset, fields[0], index=i) for i in range(width)] if len(fields) == 1 else []

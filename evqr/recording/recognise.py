@@ -42,10 +42,10 @@ def reader_of(path: str) -> Reader:
     RecordingError
         For what is no file with bytes in it, or of no format that is read.
     """
-    if Path(path).is_dir() and (Path(path) / "metadata.yaml").is_file():
+    if bag := _ros2_bag(path):
         from .rosbag import BagSource
 
-        return BagSource
+        return lambda _, asked: BagSource(bag, asked)
     head = _head(path)
     if head.startswith(HDF5_MAGIC) or head.startswith(HDF5_MAGIC, MATLAB_BLOCK):
         from .hdf5 import Hdf5Source as reader
@@ -71,6 +71,17 @@ def reader_of(path: str) -> Reader:
             ' Prophesee RAW and DAT, and with pip install "evqr[formats]" AEDAT4 and ROS bags'
         )
     return reader
+
+
+def _ros2_bag(path: str) -> str | None:
+    """Return what to open of a folder that is a ROS 2 bag: itself, or its one file without metadata."""
+    place = Path(path)
+    if not place.is_dir():
+        return None
+    if (place / "metadata.yaml").is_file():
+        return path
+    files = [file for file in place.iterdir() if file.suffix in (".db3", ".mcap")]
+    return str(files[0]) if len(files) == 1 else None
 
 
 def _head(path: str) -> bytes:

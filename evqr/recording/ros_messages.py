@@ -22,7 +22,7 @@ ROS1_EVENT_BYTES = ROS1_EVENT.itemsize
 CDR_STRIDE = 16
 """CDR aligns s and ns to 4 bytes, and x and y to 2: from an event's s to the next event's s are 16 bytes."""
 
-CDR_TIME = np.dtype([("s", "<u4"), ("ns", "<u4"), ("p", "u1"), ("pad", "V3")])
+CDR_TIME = np.dtype([("s", "<u4"), ("ns", "<u4"), ("p", "u1"), ("pad", "V7")])
 MONO_EVENT = np.dtype([("t", "<u4"), ("x", "<u2"), ("yp", "<u2")])
 
 

@@ -11,7 +11,7 @@ from typing import Any, NamedTuple
 
 from numpy.typing import NDArray
 
-from ..errors import EvqrError, RecordingError
+from ..errors import EvqrError, RecordingError, StreamChoice
 from .declared import DeclaredSensor, DeclaredUnit, Unclear
 from .faults import Faults
 
@@ -106,16 +106,17 @@ def choose_stream(names: Sequence[str], wanted: str | None, name: str, what: str
 
     Raises
     ------
+    StreamChoice
+        When nothing was asked for and there are several.
     RecordingError
-        When nothing was asked for and there are several, or what was asked for is not there.
+        When what was asked for is not there.
     """
     told = ", ".join(names[:12]) + (", ..." if len(names) > 12 else "")
     if wanted is None:
         if len(names) == 1:
             return names[0]
-        raise RecordingError(
-            f"{name}: holds several event {what}s ({told}); choose one of them: --stream {names[0]}"
-        )
+        message = f"{name}: holds several event {what}s ({told}); choose one of them: --stream {names[0]}"
+        raise StreamChoice(message, tuple(names))
     if wanted in names:
         return wanted
     parts = wanted.strip("/").casefold().split("/")

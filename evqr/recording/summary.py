@@ -30,18 +30,35 @@ class RecordingInfo:
 
     Attributes
     ----------
-    path                         "" for arrays
-    format                       in words
-    width, height                sensor size [px]
-    events, on, off              counts
-    t_first_us, t_last_us        first and last time stamp [us]
-    mean_rate, peak_rate         events a second: over all, and in the busiest millisecond of the clock
-    time_unit, time_unit_reason  unit of the stored stamps, and how it is known
-    suspicious                   what looks wrong, each in one line
+    path : str
+        "" for arrays.
+    format : str
+        In words.
+    stream, streams : str, tuple of str
+        The event stream that is told of, and all there are; "" and none where a format holds but one.
+    width, height : int [px]
+        Sensor size.
+    events, on, off : int
+        Counts.
+    t_first_us, t_last_us : int [us]
+        First and last time stamp.
+    mean_rate, peak_rate : float [1/s]
+        Events a second: over all, and in the busiest millisecond of the clock.
+    time_unit, time_unit_reason : str
+        Unit of the stored stamps, and how it is known.
+    left_out, late, epochs : int
+        Events that were wrong and left out, events out of order that were sorted, and stretches with a clock
+        of their own (1 unless the clock was reset).
+    notes : tuple of str
+        What was odd or decided in reading it, each in one line.
+    suspicious : tuple of str
+        What looks wrong with it, each in one line.
     """
 
     path: str
     format: str
+    stream: str
+    streams: tuple[str, ...]
     width: int
     height: int
     events: int
@@ -53,6 +70,10 @@ class RecordingInfo:
     peak_rate: float
     time_unit: str
     time_unit_reason: str
+    left_out: int
+    late: int
+    epochs: int
+    notes: tuple[str, ...]
     suspicious: tuple[str, ...]
 
     @property
@@ -69,6 +90,8 @@ def summarise(recording: Recording) -> RecordingInfo:
     return RecordingInfo(
         path=recording.path,
         format=recording.format,
+        stream=recording.stream,
+        streams=recording.streams,
         width=recording.width,
         height=recording.height,
         events=tally.events,
@@ -81,7 +104,11 @@ def summarise(recording: Recording) -> RecordingInfo:
         peak_rate=tally.peak * 1e6 / PEAK_BIN_US,
         time_unit=recording.time_unit,
         time_unit_reason=recording.time_unit_reason,
-        suspicious=(*recording.notes, *tally.suspicions()),
+        left_out=recording.counts.left_out,
+        late=recording.counts.late,
+        epochs=recording.counts.epochs,
+        notes=recording.notes,
+        suspicious=tuple(tally.suspicions()),
     )
 
 

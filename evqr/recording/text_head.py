@@ -187,7 +187,7 @@ def event_style(line: str) -> Style | None:
 
 def names_in(line: str) -> list[str] | None:
     """Names of columns that a line may hold, or None where it has a number."""
-    text = line.strip().lstrip("#%/ ")
+    text = line.strip().lstrip("#%/ ").rstrip(",;|\t ")
     separator = next((s for s in (";", ",", "\t", "|") if s in text), None)
     parts = text.split(separator) if separator else _NAME.findall(text)
     names = [part.strip().strip("\"'").strip() for part in parts]

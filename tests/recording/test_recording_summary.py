@@ -43,7 +43,8 @@ def test_suspicions(chunk_events):
     def suspicions(**changes):
         events = good()
         columns = {"t": events.t, "x": events.x, "y": events.y, "p": events.p} | changes
-        return " ".join(info_of(**columns, chunk_events=chunk_events).suspicious)
+        info = info_of(**columns, chunk_events=chunk_events)
+        return " ".join((*info.notes, *info.suspicious))
 
     events = good()
     assert "no event says brighter: the polarity may have been lost" in suspicions(p=np.zeros(5000, bool))
