@@ -30,7 +30,12 @@ if TYPE_CHECKING:
     )
     from evqr.errors import BackendError, EvqrError, MissingExtra, RecordingError, UsageError
     from evqr.events.array import EventArray
+    from evqr.events.buffer import EventBuffer
+    from evqr.events.window import Window
+    from evqr.fit.detection import Detection, NotFound, Target
+    from evqr.fit.modules import CodeEstimate, NormalEquations
     from evqr.many import read_many
+    from evqr.motion import Motion
     from evqr.offline import read_codes, read_windows
     from evqr.output.picture import draw_reading
     from evqr.reason import Reason
@@ -44,21 +49,33 @@ if TYPE_CHECKING:
         summarise,
     )
     from evqr.results import CodeReading, ReadResult, ReadStatus, Statistics, WindowCode, WindowReading
+    from evqr.search.motion_estimate import MotionEstimate
     from evqr.solver import Solver
+    from evqr.symbol.space import Anchor, CodeSpace, Landmark, Symbology
 
 __all__ = [
     "AlignConfig",
+    "Anchor",
     "BackendError",
+    "CodeEstimate",
     "CodeReading",
+    "CodeSpace",
     "DecodeConfig",
+    "Detection",
     "EventArray",
+    "EventBuffer",
     "EventCounts",
     "EvqrError",
     "FinderConfig",
     "LagConfig",
+    "Landmark",
     "MissingExtra",
     "ModulesConfig",
+    "Motion",
     "MotionConfig",
+    "MotionEstimate",
+    "NormalEquations",
+    "NotFound",
     "ReadConfig",
     "ReadResult",
     "ReadStatus",
@@ -70,10 +87,13 @@ __all__ = [
     "SearchPass",
     "Solver",
     "Statistics",
+    "Symbology",
+    "Target",
     "TimeUnit",
     "TrackConfig",
     "UsageError",
     "Vote",
+    "Window",
     "WindowCode",
     "WindowReading",
     "draw_reading",
@@ -108,11 +128,17 @@ _HOME = {
         "UsageError",
     ),
     "evqr.events.array": ("EventArray",),
-    "evqr.many": ("read_many",),
-    "evqr.offline": (
-        "read_codes",
-        "read_windows",
+    "evqr.events.buffer": ("EventBuffer",),
+    "evqr.events.window": ("Window",),
+    "evqr.fit.detection": (
+        "Detection",
+        "NotFound",
+        "Target",
     ),
+    "evqr.fit.modules": ("CodeEstimate", "NormalEquations"),
+    "evqr.many": ("read_many",),
+    "evqr.motion": ("Motion",),
+    "evqr.offline": ("read_codes", "read_windows"),
     "evqr.output.picture": ("draw_reading",),
     "evqr.reason": ("Reason",),
     "evqr.recording": (
@@ -132,7 +158,14 @@ _HOME = {
         "WindowCode",
         "WindowReading",
     ),
+    "evqr.search.motion_estimate": ("MotionEstimate",),
     "evqr.solver": ("Solver",),
+    "evqr.symbol.space": (
+        "Anchor",
+        "CodeSpace",
+        "Landmark",
+        "Symbology",
+    ),
 }
 _HOME_OF = {name: module for module, names in _HOME.items() for name in names}
 

@@ -12,14 +12,16 @@ from dataclasses import dataclass
 from queue import SimpleQueue
 from typing import TYPE_CHECKING, Any
 
-from evqr.fit.modules import CodeEstimate, solve_modules
+from evqr.clock import StageClock
+from evqr.fit.detection import Detection, NotFound
+from evqr.fit.modules import CodeEstimate
 from evqr.geometry import affine_to_code
 from evqr.recording import Recording, open_recording
 from evqr.results import ReadResult, ReadStatus, Statistics, WindowCode, WindowReading
-from evqr.solver import Sighting, Solver, StageClock, Unseen
+from evqr.search.motion_estimate import MotionEstimate
+from evqr.solver import Solver
 from evqr.stream.feed import Feed
 from evqr.stream.scheduler import Passes, Progress
-from evqr.symbol import qr
 from evqr.symbol.decode import decode_grid
 from evqr.symbol.decoded import Decoded, DecodeFailure
 
@@ -196,50 +198,58 @@ def _starts(events: Feed, recording: Recording, solver: Solver) -> Iterator[_Sta
             return
         length = cfg.window_us
         if length is None:
-            motion = solver.motion_at(events, start_us)
-            length = solver.window_us(motion.speed) if motion is not None else cfg.motion.probe_us
+            moving = solver.motion_at(events, start_us)
+            found = isinstance(moving, MotionEstimate)
+            length = solver.window_us(moving.motion) if found else cfg.motion.probe_us
         yield _Start(index, start_us, length)
         start_us += length
 
 
 def _read_alone(start: _Start, events: Feed, solver: Solver) -> WindowReading:
     """Read one window from cold."""
-    solver.clock = StageClock()
+    clock = StageClock()
     start_us, length = start.us, start.length_us
-    status, reason = ReadStatus.NO_CODE, ""
-    motion = None
+    moving: MotionEstimate | NotFound | None = None
     if length is None:
-        motion = solver.motion_at(events, start_us)
-        length = solver.window_us(motion.speed) if motion is not None else solver.config.motion.probe_us
+        moving = solver.motion_at(events, start_us)
+        clock.add(moving.timings_ms)
+        length = solver.config.motion.probe_us
+        if isinstance(moving, MotionEstimate):
+            length = solver.window_us(moving.motion)
     window = events.window(start_us, start_us + length)
-    if motion is None:
-        motion = solver.motion_in(window)
-    unmoved = Unseen("nothing moves, or too few events")
-    sighting = unmoved if motion is None else solver.look(window, motion)
-    codes = ()
-    if isinstance(sighting, Unseen):
-        reason = sighting.reason
+    if not isinstance(moving, MotionEstimate):
+        moving = solver.motion_in(window)
+        clock.add(moving.timings_ms)
+    found: Detection | NotFound
+    if isinstance(moving, NotFound):
+        found = moving
     else:
-        with solver.clock("stage_two"):
-            estimate = solve_modules(sighting.weighted, solver.config.stage_two, workspace=solver.workspace)
-        with solver.clock("decode"):
-            outcome = decode_grid(estimate.q, qr.space(sighting.version), effort="full")
-        codes = (_window_code(sighting, estimate, outcome),)
-        status, reason = codes[0].status, codes[0].reason
+        found = solver.find(window, moving.motion)
+        clock.add(found.timings_ms)
+    codes = ()
+    if isinstance(found, NotFound):
+        status, reason, reason_code = ReadStatus.NO_CODE, str(found), found.reason
+    else:
+        with clock("stage_two"):
+            estimate = solver.solve(found)
+        with clock("decode"):
+            outcome = decode_grid(estimate.q, found.space, config=solver.config.decode, effort="full")
+        codes = (_window_code(found, estimate, outcome),)
+        status, reason, reason_code = codes[0].status, codes[0].reason, codes[0].reason_code
     return WindowReading(
         status=status,
         reason=reason,
-        reason_code=codes[0].reason_code if codes else None,
+        reason_code=reason_code,
         window=start.index,
         t_start_us=window.start_us,
         t_end_us=window.end_us,
         n_events=len(window),
         codes=codes,
-        compute_ms=solver.clock.total(),
+        compute_ms=clock.total(),
     )
 
 
-def _window_code(seen: Sighting, estimate: CodeEstimate, outcome: Decoded | DecodeFailure) -> WindowCode:
+def _window_code(found: Detection, estimate: CodeEstimate, outcome: Decoded | DecodeFailure) -> WindowCode:
     read = isinstance(outcome, Decoded)
     return WindowCode(
         status=ReadStatus.READ if read else ReadStatus.NO_READ,
@@ -252,8 +262,8 @@ def _window_code(seen: Sighting, estimate: CodeEstimate, outcome: Decoded | Deco
         mask=outcome.mask if read else None,
         confidence=outcome.confidence if read else None,
         modules=estimate.q,
-        motion_px_per_s=seen.velocity,
-        affine=affine_to_code(seen.pose, seen.size),
-        stage_one_iterations=seen.iterations,
+        motion_px_per_s=found.motion.velocity,
+        affine=affine_to_code(found.pose, found.space.size),
+        stage_one_iterations=found.iterations,
         stage_two_iterations=estimate.iterations,
     )

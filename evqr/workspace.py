@@ -18,8 +18,11 @@ if TYPE_CHECKING:
 T = TypeVar("T")
 
 MOST_KEPT = 384
-"""Things kept at once; those that were not used for longest go first.  Codes differ in size from recording to
-recording, and each size of region has its own."""
+"""Things that a workspace keeps at once.  Codes differ in size from recording to recording, and each size of
+region has its own."""
+
+MOST_KEPT_WITH_ONE = 48
+"""Things that are kept at once with one of those, as they work on its buffers."""
 
 FEWEST_EVENTS = 1 << 14
 """Room for events grows from this in powers of two, so that launches recorded for it are used again."""
@@ -54,7 +57,44 @@ class Mirror:
         return self.host
 
 
-class Step:
+class Keeper:
+    """Keeps what is made once and used for every window; what was not used for longest goes first.
+
+    What works on somebody's buffers is kept with it, and so goes when it goes.
+    """
+
+    most_kept = MOST_KEPT_WITH_ONE
+
+    @cached_property
+    def _kept(self) -> OrderedDict[Any, Any]:
+        return OrderedDict()
+
+    def once(self, key: Any, make: Callable[[], T]) -> T:
+        """Give whatever ``make`` gives, made when it is first asked for."""
+        kept = self._kept
+        try:
+            kept.move_to_end(key)
+        except KeyError:
+            kept[key] = make()
+            if len(kept) > self.most_kept:
+                kept.popitem(last=False)
+        return kept[key]
+
+
+class Images(Keeper):
+    """Images (N, Y, X) on the device.
+
+    Attributes
+    ----------
+    device : (N, Y, X) float32, on the device
+        Their buffer, which the step that makes them fills again for every window.
+    """
+
+    def __init__(self, device: Any) -> None:
+        self.device = device
+
+
+class Step(Keeper):
     """Launches on arrays of its own: alone, or as a part of a larger step."""
 
     def __init__(self, backend: KernelBackend) -> None:
@@ -104,24 +144,15 @@ class EventSlots:
             self._timed = window
 
 
-class Workspace:
+class Workspace(Keeper):
     """Device arrays and recorded launches of one thread, each made when it is first asked for."""
+
+    most_kept = MOST_KEPT
 
     def __init__(self, backend: KernelBackend, device: str) -> None:
         self.backend = backend
         self.device = device
-        self._kept: OrderedDict[Any, Any] = OrderedDict()
         self._slots: dict[int, EventSlots] = {}  # for good: recorded launches know them by their capacity
-
-    def once(self, key: Any, make: Callable[[], T]) -> T:
-        """Give whatever ``make`` gives, made when it is first asked for."""
-        try:
-            self._kept.move_to_end(key)
-        except KeyError:
-            self._kept[key] = make()
-            if len(self._kept) > MOST_KEPT:
-                self._kept.popitem(last=False)
-        return self._kept[key]
 
     def empty(self, *shape: int, dtype: DTypeLike = np.float32) -> Any:
         """Make a device array with undefined contents."""

@@ -19,15 +19,17 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from evqr.clock import StageClock
 from evqr.events.array import EventArray
 from evqr.events.buffer import EventBuffer
 from evqr.events.window import Window
-from evqr.fit.modules import solve_modules
+from evqr.fit.detection import Detection, NotFound
 from evqr.geometry import outline
+from evqr.motion import Motion
 from evqr.paper.methods import descent, integrate
 from evqr.search.finder import find_hypotheses
-from evqr.solver import Sighting, Solver, StageClock, Unseen
-from evqr.symbol import qr
+from evqr.search.motion_estimate import MotionEstimate
+from evqr.solver import Solver
 from evqr.symbol.decode import decode_grid
 from evqr.symbol.decoded import Decoded
 
@@ -52,15 +54,15 @@ class Job:
     ----------
     window_us   length of the window, as the solver chooses it
     before      the code as seen one window earlier, for "tracked"; None where it was not found
-    start       first guess of velocity, pose and version, for "descent"; None where the search found none
+    start       first guess of motion, pose and version, for "descent"; None where the search found none
     """
 
     recording: Recording
     buffer: EventBuffer
     start_us: int
     window_us: int
-    before: Sighting | None
-    start: tuple[np.ndarray, np.ndarray, int] | None
+    before: Detection | None
+    start: tuple[Motion, np.ndarray, int] | None
 
 
 @dataclass(frozen=True)
@@ -80,89 +82,101 @@ def prepare(recording: Recording, solver: Solver) -> list[Job]:
     buffer = EventBuffer.of(recording.events)
     jobs = []
     for start_us in recording.starts_us:
-        motion = solver.motion_at(buffer, start_us)
-        if motion is None:
+        moving = solver.motion_at(buffer, start_us)
+        if isinstance(moving, NotFound):
             continue
-        length = solver.window_us(motion.speed)
+        motion = moving.motion
+        length = solver.window_us(motion)
         before = start = None
         earlier = buffer.window(start_us - length, start_us)
-        seen = solver.look(earlier, motion)
-        if isinstance(seen, Sighting):
+        seen = solver.find(earlier, motion)
+        if isinstance(seen, Detection):
             before = seen
             window = buffer.window(start_us, start_us + length)
-            start = _search(window, motion.velocity, seen, solver)
+            start = _search(window, motion, seen, solver)
         jobs.append(Job(recording, buffer, start_us, length, before, start))
     return jobs
 
 
 def _search(
-    window: Window, velocity: np.ndarray, seen: Sighting, solver: Solver
-) -> tuple[np.ndarray, np.ndarray, int] | None:
+    window: Window, motion: Motion, seen: Detection, solver: Solver
+) -> tuple[Motion, np.ndarray, int] | None:
     """Return what the search finds of a code whose place is known: the pose before any refinement."""
-    found = find_hypotheses(window, velocity, solver.config.finder, workspace=solver.workspace)
-    true = outline(seen.pose_at(window.middle_us), seen.size)
-    poses = [h.pose for h in found.hypotheses if h.version == seen.version]
+    found = find_hypotheses(window, motion, solver.config.finder, workspace=solver.workspace)
+    true = seen.at(window.middle_us).outline()
+    poses = [h.pose for h in found.hypotheses if h.space == seen.space]
     if not poses:
         return None
-    return velocity, min(poses, key=lambda pose: np.abs(outline(pose, seen.size) - true).max()), seen.version
+    size = seen.space.size
+    best = min(poses, key=lambda pose: np.abs(outline(pose, size) - true).max())
+    return motion, best, seen.space.version
 
 
-def run_cold(job: Job, solver: Solver) -> str | None:
-    motion = solver.motion_at(job.buffer, job.start_us)
+def run_cold(job: Job, solver: Solver, clock: StageClock | None = None) -> str | None:
+    clock = clock or StageClock()
+    motion = _motion(job, solver, clock)
     if motion is None:
         return None
-    length = solver.window_us(motion.speed)
-    return _finish(solver.look(job.buffer.window(job.start_us, job.start_us + length), motion), solver)
+    length = solver.window_us(motion)
+    found = solver.find(job.buffer.window(job.start_us, job.start_us + length), motion)
+    return _finish(found, solver, clock)
 
 
-def run_tracked(job: Job, solver: Solver) -> str | None:
+def run_tracked(job: Job, solver: Solver, clock: StageClock | None = None) -> str | None:
     assert job.before is not None
     window = job.buffer.window(job.start_us, job.start_us + job.window_us)
-    return _finish(solver.follow(window, job.before), solver)
+    return _finish(solver.follow(window, job.before), solver, clock or StageClock())
 
 
-def _finish(seen: Sighting | Unseen | None, solver: Solver) -> str | None:
-    if not isinstance(seen, Sighting):
+def _motion(job: Job, solver: Solver, clock: StageClock) -> Motion | None:
+    moving = solver.motion_at(job.buffer, job.start_us)
+    clock.add(moving.timings_ms)
+    return moving.motion if isinstance(moving, MotionEstimate) else None
+
+
+def _finish(found: Detection | NotFound, solver: Solver, clock: StageClock) -> str | None:
+    clock.add(found.timings_ms)
+    if isinstance(found, NotFound):
         return None
-    with solver.clock("stage_two"):
-        estimate = solve_modules(seen.weighted, solver.config.stage_two, workspace=solver.workspace)
-    with solver.clock("decode"):
-        outcome = decode_grid(estimate.q, qr.space(seen.version))
+    with clock("stage_two"):
+        estimate = solver.solve(found)
+    with clock("decode"):
+        outcome = decode_grid(estimate.q, found.space)
     return outcome.text if isinstance(outcome, Decoded) else None
 
 
-def _run_integrate(job: Job, solver: Solver, travel_px: float) -> str | None:
-    motion = solver.motion_at(job.buffer, job.start_us)
+def _run_integrate(job: Job, solver: Solver, clock: StageClock, travel_px: float) -> str | None:
+    motion = _motion(job, solver, clock)
     if motion is None:
         return None
-    length = round(solver.window_us(motion.speed) * travel_px / solver.config.travel_px)
+    length = round(solver.window_us(motion) * travel_px / solver.config.travel_px)
     window = job.buffer.window(job.start_us, job.start_us + length)
     reading = integrate.read_window(window, workspace=solver.workspace, motion=motion)
-    _add(solver.clock, reading.compute_ms)
+    _add(clock, reading.compute_ms)
     return reading.text
 
 
-def run_integrate(job: Job, solver: Solver) -> str | None:
-    return _run_integrate(job, solver, solver.config.travel_px)
+def run_integrate(job: Job, solver: Solver, clock: StageClock | None = None) -> str | None:
+    return _run_integrate(job, solver, clock or StageClock(), solver.config.travel_px)
 
 
-def run_integrate4(job: Job, solver: Solver) -> str | None:
-    return _run_integrate(job, solver, 2.0 * solver.config.travel_px)
+def run_integrate4(job: Job, solver: Solver, clock: StageClock | None = None) -> str | None:
+    return _run_integrate(job, solver, clock or StageClock(), 2.0 * solver.config.travel_px)
 
 
-def run_descent(job: Job, solver: Solver) -> str | None:
+def run_descent(job: Job, solver: Solver, clock: StageClock | None = None) -> str | None:
     assert job.start is not None
     window = job.buffer.window(job.start_us, job.start_us + job.window_us)
     reading = descent.read_window(window, *job.start, workspace=solver.workspace)
-    _add(solver.clock, reading.compute_ms)
+    _add(clock or StageClock(), reading.compute_ms)
     return reading.text
 
 
 def _add(clock: StageClock, ms) -> None:
-    clock.ms.update({stage: value for stage, value in ms.items() if stage != "total"})
+    clock.add({stage: value for stage, value in ms.items() if stage != "total"})
 
 
-RUN: dict[str, Callable[[Job, Solver], str | None]] = {
+RUN: dict[str, Callable[..., str | None]] = {
     "cold": run_cold,
     "tracked": run_tracked,
     "integrate": run_integrate,
@@ -189,11 +203,11 @@ def run_interleaved(jobs: list[Job], solver: Solver, rounds: int) -> Iterator[Ti
             for method in rng.sample(METHODS, len(METHODS)):
                 if not can_run(method, job):
                     continue
-                solver.clock = StageClock()
+                clock = StageClock()
                 begin = time.perf_counter()
-                text = RUN[method](job, solver)
+                text = RUN[method](job, solver, clock)
                 total = 1e3 * (time.perf_counter() - begin)
                 verdict = "missed" if text is None else "read" if text in job.recording.texts else "FALSE"
-                ms = {**solver.clock.ms, "rest": total - sum(solver.clock.ms.values())}
+                ms = {**clock.ms, "rest": total - sum(clock.ms.values())}
                 if round_ > 0:
                     yield Timing(job.recording.case, index, method, ms, total, verdict)

@@ -20,10 +20,10 @@ from table import Row, row
 
 from evqr import EventArray, ReadConfig, open_recording, read_codes, read_windows
 from evqr.events.buffer import EventBuffer
-from evqr.fit.modules import solve_modules
-from evqr.geometry import outline
+from evqr.fit.detection import Detection
+from evqr.search.motion_estimate import MotionEstimate
 from evqr.simulate import simulate
-from evqr.solver import Sighting, Solver
+from evqr.solver import Solver
 
 RATIOS = (("integrate", "cold", 1.0), ("integrate", "tracked", 4.0), ("descent", "tracked", 20.0))
 THREADS_RATIO = 1.7
@@ -40,15 +40,15 @@ def check(device: str) -> float:
     found = {}
     for backend, solver in solvers.items():
         begin = time.perf_counter()
-        motion = solver.motion_at(buffer, start)
-        seen = "no motion"
-        if motion is not None:
-            seen = solver.look(buffer.window(start, start + solver.window_us(motion.speed)), motion)
+        seen = solver.motion_at(buffer, start)
+        if isinstance(seen, MotionEstimate):
+            motion = seen.motion
+            seen = solver.find(buffer.window(start, start + solver.window_us(motion)), motion)
         first_ms = 1e3 * (time.perf_counter() - begin)
-        if not isinstance(seen, Sighting):
+        if not isinstance(seen, Detection):
             sys.exit(f"gate: backend {backend} finds no code in the known scene: {seen}")
-        q = solve_modules(seen.weighted, solver.config.stage_two, workspace=solver.workspace).q
-        found[backend] = (outline(seen.pose, seen.size), q, first_ms)
+        q = solver.solve(seen).q
+        found[backend] = (seen.target.outline(), q, first_ms)
     (corners, q, first_ms), (true_corners, true_q, _) = found["auto"], found["numpy"]
     apart = float(np.abs(corners - true_corners).max())
     differ = float(np.abs(q - true_q).max() / np.abs(true_q).max())

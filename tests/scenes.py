@@ -7,6 +7,7 @@ import numpy as np
 
 from evqr.events.array import EventArray
 from evqr.events.window import Window, make_window
+from evqr.motion import Motion
 from evqr.simulate import CodePlacement, Simulation, simulate
 from evqr.simulate.geometry import transform
 
@@ -36,6 +37,11 @@ def at(truth, field: str, time_us: float) -> np.ndarray:
     k = int(np.clip(np.searchsorted(t, time_us) - 1, 0, len(t) - 2))
     share = (time_us - t[k]) / (t[k + 1] - t[k])
     return (1.0 - share) * values[k] + share * values[k + 1]
+
+
+def motion_at(truth, time_us: float) -> Motion:
+    """True motion at a time."""
+    return Motion(at(truth, "velocity", time_us), time_us)
 
 
 def corners(pose: np.ndarray, size: int) -> np.ndarray:

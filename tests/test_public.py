@@ -92,7 +92,6 @@ INTERNAL = {
     "Array", "Floats", "Ints",  # arrays of any kind, see evqr_kernels.ops
     "Asked", "Source",  # what `open_recording` makes a `Recording` of
     "_S",
-    "EventBuffer", "Motion", "Sighting", "Unseen", "Window",  # until the solver is written anew
 }  # fmt: skip
 
 

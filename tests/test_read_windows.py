@@ -151,9 +151,9 @@ def test_a_window_is_what_a_fresh_solver_sees(made):
     for w in windows_of(made.events, max_windows=3, window_us=500):
         solver = Solver(ReadConfig(window_us=500))
         window = make_window(made.events, w.t_start_us, w.t_end_us)
-        sighting = solver.look(window, solver.motion_in(window))
-        np.testing.assert_array_equal(sighting.velocity, w.motion_px_per_s)
-        assert sighting.version == w.version
+        found = solver.find(window, solver.motion_in(window).motion)
+        np.testing.assert_array_equal(found.motion.velocity, w.motion_px_per_s)
+        assert found.space.version == w.version
 
 
 @pytest.mark.parametrize("most", [None, 9])

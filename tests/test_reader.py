@@ -11,8 +11,9 @@ from scenes import at, joined, keep, middle_us, noise, scene, true_corners
 import evqr
 from evqr import ReadConfig, ReadStatus, Reason, Vote, read_codes, read_many, read_windows
 from evqr.events.array import EventArray
+from evqr.motion import Motion
 from evqr.results import CodeReading
-from evqr.search.motion_estimate import Motion
+from evqr.search.motion_estimate import MotionEstimate
 from evqr.simulate import CodePlacement, shuffled
 
 LONG = {"travel_px": 30.0}
@@ -295,7 +296,7 @@ def test_what_does_not_move_at_all_gives_nothing(threads, events, monkeypatch):
     """A peak of the correlation at no shift that is no vertex either: its place is whole steps, so zero."""
 
     def still(*_, **__):
-        return Motion(np.zeros(2), 0.5)
+        return MotionEstimate(Motion(np.zeros(2)), 0.5)
         yield  # asks for no window
 
     monkeypatch.setattr("evqr.solver.find_motion", still)

@@ -29,8 +29,3 @@ __all__ = [
     "TrackConfig",
     "Vote",
 ]
-
-# until search, fit and solver are written anew
-LookConfig = SearchPass
-StageOneConfig = AlignConfig
-StageTwoConfig = ModulesConfig

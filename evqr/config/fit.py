@@ -73,11 +73,6 @@ class AlignConfig(Settings):
     good_score: NotNegative = 0.8
     sharp_score: NotNegative = 0.96
 
-    @property
-    def closer_looks(self) -> int:  # until the solver is written anew
-        """Candidates of the screening that are refined."""
-        return self.refined_candidates
-
 
 @dataclass(frozen=True, kw_only=True)
 class LagConfig(Settings):

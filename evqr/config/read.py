@@ -80,14 +80,3 @@ class ReadConfig(Settings):
     decode: DecodeConfig = field(default_factory=DecodeConfig)
     scheduler: SchedulerConfig = field(default_factory=SchedulerConfig)
     track: TrackConfig = field(default_factory=TrackConfig)
-
-    # until the solver is written anew
-    @property
-    def stage_one(self) -> AlignConfig:
-        """Pose and gain."""
-        return self.align
-
-    @property
-    def stage_two(self) -> ModulesConfig:
-        """Estimate of the modules."""
-        return self.modules

@@ -163,11 +163,6 @@ class FinderConfig(Settings):
         0.0, 0.25 * math.pi, -0.25 * math.pi, 0.5 * math.pi,
     )  # fmt: skip
 
-    @property
-    def looks(self) -> tuple[SearchPass, ...]:  # until the search is written anew
-        """One after another until a code is found."""
-        return self.passes
-
     def __post_init__(self) -> None:
         super().__post_init__()
         for name in ("passes", "unsure_turns"):

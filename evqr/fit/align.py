@@ -18,12 +18,10 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from evqr.config import StageOneConfig
+from evqr.config import AlignConfig
 from evqr.fit.model import MOMENTS, pose_table
-from evqr.workspace import Step, Workspace
-
-RIDGE = 1e-3
-"""Regularises the gain where the known modules leave a direction open, relative to the trace."""
+from evqr.symbol.space import CodeSpace
+from evqr.workspace import Images, Step, Workspace
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -44,7 +42,7 @@ class Level:
     tolerance: float
 
 
-def coarse_levels(cfg: StageOneConfig) -> tuple[Level, ...]:
+def coarse_levels(cfg: AlignConfig) -> tuple[Level, ...]:
     """Give the levels that a pose from the search goes through before the last."""
     return tuple(
         Level(sigma=sigma, samples=samples, tilt=False, tolerance=cfg.coarse_tolerance)
@@ -52,7 +50,7 @@ def coarse_levels(cfg: StageOneConfig) -> tuple[Level, ...]:
     )
 
 
-def fine_levels(cfg: StageOneConfig) -> tuple[Level, ...]:
+def fine_levels(cfg: AlignConfig) -> tuple[Level, ...]:
     """Give the levels for a pose that is known to a fraction of a module."""
     return (Level(sigma=cfg.sigma, samples=cfg.samples, tilt=True, tolerance=cfg.tolerance),)
 
@@ -108,16 +106,16 @@ def _terms(tilt: bool) -> tuple[NDArray[np.int32], NDArray[np.int32]]:
 
 
 class Align(Step):
-    """Refines the poses of N hypotheses of one version, each on one of some images, over levels."""
+    """Refines the poses of N hypotheses of one code space, each on one of some images, over levels."""
 
     def __init__(
-        self, images: Any, count: int, version: int, levels: tuple[Level, ...], max_iterations: int,
-        cfg: StageOneConfig, workspace: Workspace,
+        self, images: Images, count: int, space: CodeSpace, levels: tuple[Level, ...], max_iterations: int,
+        cfg: AlignConfig, workspace: Workspace,
     ) -> None:  # fmt: skip
         super().__init__(workspace.backend)
-        self._images, self._max_iterations = images, max_iterations
+        self._images, self._max_iterations = images.device, max_iterations
         self._image_idx = workspace.mirror((count,), np.int32)
-        self._tables = [_tables(version, level, cfg, workspace) for level in levels]
+        self._tables = [_tables(space, level, cfg, workspace) for level in levels]
         self._results = [workspace.mirror((count, 5)) for _ in levels]
         self._pose = workspace.mirror((count, 9))
 
@@ -157,30 +155,30 @@ class Align(Step):
 
 
 def align(
-    image: Any,
+    images: Images,
     pose: NDArray[np.float64],
-    version: int,
+    space: CodeSpace,
     levels: tuple[Level, ...],
-    cfg: StageOneConfig,
+    cfg: AlignConfig,
     *,
     workspace: Workspace,
     image_idx: NDArray[np.int32] | None = None,
     max_iterations: int | None = None,
 ) -> Alignment:
-    """Refine the poses of N hypotheses of one version.
+    """Refine the poses of N hypotheses of one code space.
 
     Parameters
     ----------
-    image : (B, Y, X) float32     event images on the device
+    images : (B, Y, X)            of events
     pose : (N, 3, 3)              code coordinates to cells
     levels                        coarse to fine
     image_idx : (N,) int32        image of each hypothesis; default the first
     max_iterations                at each level, default the configured; 0 scores the poses as they are
     """
     most = cfg.max_iterations if max_iterations is None else max_iterations
-    step = workspace.once(
-        ("align", id(image), version, levels, len(pose), most, cfg),
-        lambda: Align(image, len(pose), version, levels, most, cfg, workspace),
+    step = images.once(
+        ("align", space, levels, len(pose), most, cfg),
+        lambda: Align(images, len(pose), space, levels, most, cfg, workspace),
     )
     step.write(pose, 0 if image_idx is None else image_idx)
     step.run()
@@ -190,15 +188,15 @@ def align(
 _Tables = tuple[Any, Any, Any, Any, Any, Any]
 
 
-def _tables(version: int, level: Level, cfg: StageOneConfig, workspace: Workspace) -> _Tables:
+def _tables(space: CodeSpace, level: Level, cfg: AlignConfig, workspace: Workspace) -> _Tables:
     """Give what `align_poses` takes of a level: points, table, gram, terms, factors, settings."""
-    table = pose_table(version, level.sigma, level.samples)
+    table = pose_table(space, level.sigma, level.samples)
     terms, factors = _terms(level.tilt)
-    settings = (table.centre, table.scale, RIDGE, cfg.damping, level.tolerance)
+    settings = (table.centre, table.scale, cfg.ridge, cfg.damping, level.tolerance)
     return (
-        workspace.table(("points", version, level), table.points),
-        workspace.table(("table", version, level), table.table),
-        workspace.table(("gram", version, level), table.gram.astype(np.float32)),
+        workspace.table(("points", space, level), table.points),
+        workspace.table(("table", space, level), table.table),
+        workspace.table(("gram", space, level), table.gram.astype(np.float32)),
         workspace.table(("terms", level.tilt), terms),
         workspace.table(("factors", level.tilt), factors),
         workspace.put(np.array(settings, np.float32)),
@@ -214,21 +212,21 @@ def shifted(pose: NDArray[np.float64]) -> NDArray[np.float64]:
 
 
 def escape_side_minimum(
-    image: Any, found: Alignment, version: int, cfg: StageOneConfig, *, workspace: Workspace
-) -> Alignment:
+    images: Images, found: Alignment, space: CodeSpace, cfg: AlignConfig, *, workspace: Workspace
+) -> Alignment | None:
     """Look at the poses one module away from one that was refined from the search.
 
     The cost has a side minimum one module off, where finder patterns half agree.  Unless the score is better
     than that allows, the neighbours are looked at, not refined: from a side minimum the true pose is exactly
-    one module away.  Gives ``found`` itself where none of them is better.
+    one module away.  None where no neighbour is better.
     """
     if found.score[0] >= cfg.good_score:
-        return found
+        return None
     levels = fine_levels(cfg)
     around = shifted(found.pose[0])
-    scored = align(image, around, version, levels[-1:], cfg, workspace=workspace, max_iterations=0)
+    scored = align(images, around, space, levels[-1:], cfg, workspace=workspace, max_iterations=0)
     best = scored.best
     if scored.score[best] <= found.score[0] + cfg.shift_gain:
-        return found
-    again = align(image, around[best : best + 1], version, levels, cfg, workspace=workspace)
+        return None
+    again = align(images, around[best : best + 1], space, levels, cfg, workspace=workspace)
     return replace(again, iterations=found.iterations + again.iterations)

@@ -5,15 +5,15 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from evqr.config import StageTwoConfig, Vote
+from evqr.config import ModulesConfig, Vote
 from evqr.fit.modules import CodeEstimate, NormalEquations, solve_modules
 from evqr.workspace import Workspace
 
 
-class Tally:
+class Fusion:
     """What the windows of one code say so far."""
 
-    def __init__(self, vote: Vote, cfg: StageTwoConfig, *, workspace: Workspace) -> None:
+    def __init__(self, vote: Vote, cfg: ModulesConfig, *, workspace: Workspace) -> None:
         self._vote = vote
         self._cfg = cfg
         self._workspace = workspace

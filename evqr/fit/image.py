@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import functools
-import math
 from collections.abc import Sequence
 from typing import Any
 
@@ -12,10 +11,8 @@ from numpy.typing import NDArray
 
 from evqr.events.window import Window
 from evqr.fit.region import Region
-from evqr.workspace import EventSlots, Step, Workspace
-
-BLUR_CELLS = 0.55
-"""Blur of a region's image beyond that of the deposit, whose tent has 0.41 [cells]."""
+from evqr.motion import Motion
+from evqr.workspace import EventSlots, Images, Step, Workspace
 
 
 class Deposit(Step):
@@ -28,10 +25,12 @@ class Deposit(Step):
         self._frame = workspace.mirror((1, 3))
         self.cells = workspace.empty(1, 2, height, width)
 
-    def write(self, window: Window, velocity: NDArray[np.float64], region: Region) -> None:
+    def write(self, window: Window, motion: Motion, region: Region) -> None:
         """Say which events, how they move and where the cells are."""
+        if not motion.uniform:
+            raise NotImplementedError("events are deposited for motions of 2 parameters, got 6")
         self._ptr.write((0, len(window)))
-        self._motion.write(velocity * 1e-6)  # times on the device are in microseconds
+        self._motion.write(motion.velocity * 1e-6)  # times on the device are in microseconds
         self._frame.write((region.x + 0.5, region.y + 0.5, region.cell))
 
     def launch(self) -> None:
@@ -45,43 +44,39 @@ class Deposit(Step):
 
 
 class Sharpen(Step):
-    """Blurs a deposit and undoes the pixels' lag, for a number of pairs of lags: (N, height, width)."""
+    """Blurs a deposit and undoes the pixels' lag, for N pairs of lags: images (N, height, width)."""
 
-    def __init__(self, cells: Any, count: int, workspace: Workspace) -> None:
+    def __init__(self, cells: Any, count: int, blur_cells: float, workspace: Workspace) -> None:
         super().__init__(workspace.backend)
         height, width = cells.shape[2:]
         self._cells = cells
         self._direction, self._lag = workspace.mirror((count, 2)), workspace.mirror((count, 2))
         self._rows = workspace.empty(count, 2, height, width)
         self._first = workspace.put(np.zeros(count, np.int32))
-        self._taps = workspace.put(blur_taps(BLUR_CELLS))
-        self.images = workspace.empty(count, height, width)
+        self._taps = workspace.put(blur_taps(blur_cells))
+        self.images = Images(workspace.empty(count, height, width))
 
-    def write(
-        self, velocity: NDArray[np.float64], region: Region, lags_px: Sequence[tuple[float, float]]
-    ) -> None:
+    def write(self, motion: Motion, region: Region, lags_px: Sequence[tuple[float, float]]) -> None:
         """Say which lags (ON, OFF) along which motion."""
-        self._direction.write(velocity / max(math.hypot(*velocity), 1e-9))
+        self._direction.write(motion.direction)
         self._lag.write(np.divide(lags_px, region.cell))
 
     def launch(self) -> None:
         """Launch the kernels one by one."""
         self._backend.lag_operator(
             self._cells, self._first, self._direction.device, self._lag.device, self._taps, self._rows,
-            self.images,
+            self.images.device,
         )  # fmt: skip
 
 
-def depositing(
-    window: Window, velocity: NDArray[np.float64], region: Region, *, workspace: Workspace
-) -> Deposit:
+def depositing(window: Window, motion: Motion, region: Region, *, workspace: Workspace) -> Deposit:
     """Make ready to deposit a window's events on a region, over the last deposit on one of this size."""
     events = workspace.events(window)
     step = workspace.once(
         ("deposit", region.height, region.width, events.capacity),
         lambda: Deposit(events, region.height, region.width, workspace),
     )
-    step.write(window, velocity, region)
+    step.write(window, motion, region)
     return step
 
 

@@ -12,41 +12,31 @@ lags: sharpening also sharpens noise.
 
 from __future__ import annotations
 
-import math
-from typing import Any
-
 import numpy as np
 from numpy.typing import NDArray
 
-from evqr.config import StageOneConfig
+from evqr.config import ReadConfig
 from evqr.fit.align import Align, Alignment, fine_levels
-from evqr.fit.image import Sharpen
+from evqr.fit.image import Deposit, Sharpen
 from evqr.fit.region import Region
-from evqr.workspace import Step, Workspace
-
-FIRST_LAGS = (0.0, 0.2, 0.4, 0.7, 1.0, 1.5)
-"""ON lags tried first [modules]."""
-
-OFF_OVER_ON = 1.6
-"""Ratio of the lags tried first."""
-
-MOST_STEPS = 1
-"""Steps of Gauss-Newton for each pair."""
+from evqr.motion import Motion
+from evqr.symbol.space import CodeSpace
+from evqr.workspace import Images, Step, Workspace
 
 CORNERS = ((0.0, 0.0), (1.0, 0.0), (0.0, 1.0))
 """Lags [px] whose images those for all pairs are mixed from: the image is linear in the lags."""
 
-FACTORS = (0.6, 1.0, 1.6)
-"""Factors around the best first pair, for ON and for OFF; with 1, which is that pair itself."""
+LEAST_ON = 0.1
+"""ON lag around which is tried where none is better than those that were tried first [modules]."""
 
 
 def estimate_lag(
-    cells: Any,
-    velocity: NDArray[np.float64],
+    deposit: Deposit,
+    motion: Motion,
     region: Region,
     pose: NDArray[np.float64],
-    version: int,
-    cfg: StageOneConfig,
+    space: CodeSpace,
+    cfg: ReadConfig,
     *,
     workspace: Workspace,
 ) -> tuple[tuple[float, float], Alignment]:
@@ -54,7 +44,7 @@ def estimate_lag(
 
     Parameters
     ----------
-    cells           deposit of the events on the region
+    deposit         of the events on the region, made already
     pose : (3, 3)   code coordinates to cells of the region
 
     Returns
@@ -62,22 +52,23 @@ def estimate_lag(
     lag_px      ON and OFF [px]
     alignment   of the pose with these lags, one hypothesis
     """
-    step = workspace.once(("lag", id(cells), version, cfg), lambda: _Lag(cells, version, cfg, workspace))
-    direction = velocity / math.hypot(*velocity)
-    module = region.cell * cfg.cells_a_module
-    first = [(lag * module, OFF_OVER_ON * lag * module) for lag in FIRST_LAGS]
+    lag = cfg.lag
+    step = deposit.once(("lag", space, cfg.align, lag), lambda: _Lag(deposit, space, cfg, workspace))
+    direction = motion.direction
+    module = region.cell * cfg.align.cells_a_module
+    first = [(on * module, lag.off_over_on * on * module) for on in lag.first_on]
     # a lagging edge is seen behind the true one by the mean lag
     start = np.tile(pose, (len(first), 1, 1))
     for ahead, (on, off) in zip(start, first, strict=True):
         ahead[:2] += np.outer(direction * 0.5 * (on + off) / region.cell, pose[2])
-    step.corners.write(velocity, region, CORNERS)
+    step.corners.write(motion, region, CORNERS)
     step.first.write(first, start)
     step.run()
     tried = step.first.align.read()
     best = tried.best
-    base_on, base_off = first[best] if best else (0.1 * module, 0.16 * module)
+    base_on, base_off = first[best] if best else (LEAST_ON * module, lag.off_over_on * LEAST_ON * module)
     second = [first[best]] + [
-        (base_on * f, base_off * g) for f in FACTORS for g in FACTORS if (f, g) != (1.0, 1.0)
+        (base_on * f, base_off * g) for f in lag.factors for g in lag.factors if (f, g) != (1.0, 1.0)
     ]
     step.second.write(second, np.tile(tried.pose[best], (len(second), 1, 1)))
     step.second.run()
@@ -88,13 +79,12 @@ def estimate_lag(
 class _Lag(Step):
     """The images for the corners, and the pairs that are tried first; then the pairs around the best."""
 
-    def __init__(self, cells: Any, version: int, cfg: StageOneConfig, workspace: Workspace) -> None:
+    def __init__(self, deposit: Deposit, space: CodeSpace, cfg: ReadConfig, workspace: Workspace) -> None:
         super().__init__(workspace.backend)
-        self._cells = cells  # it is known by its id as long as this lives
-        self.corners = Sharpen(cells, len(CORNERS), workspace)
+        self.corners = Sharpen(deposit.cells, len(CORNERS), cfg.align.blur_cells, workspace)
         self.first, self.second = (
-            _Pairs(self.corners.images, count, version, cfg, workspace)
-            for count in (len(FIRST_LAGS), len(FACTORS) ** 2)
+            _Pairs(self.corners.images, count, space, cfg, workspace)
+            for count in (len(cfg.lag.first_on), len(cfg.lag.factors) ** 2)
         )
 
     def launch(self) -> None:
@@ -110,12 +100,14 @@ class _Pairs(Step):
     """
 
     def __init__(
-        self, corners: Any, count: int, version: int, cfg: StageOneConfig, workspace: Workspace
+        self, corners: Images, count: int, space: CodeSpace, cfg: ReadConfig, workspace: Workspace
     ) -> None:
         super().__init__(workspace.backend)
-        self._corners, self._weight = corners, workspace.mirror((count, 3))
-        self._images = workspace.empty(count, *corners.shape[1:])
-        self.align = Align(self._images, count, version, fine_levels(cfg), MOST_STEPS, cfg, workspace)
+        self._corners, self._weight = corners.device, workspace.mirror((count, 3))
+        self._images = Images(workspace.empty(count, *self._corners.shape[1:]))
+        one = cfg.align
+        most = cfg.lag.max_iterations
+        self.align = Align(self._images, count, space, fine_levels(one), most, one, workspace)
 
     def write(self, pairs: list[tuple[float, float]], start: NDArray[np.float64]) -> None:
         """Say which lags [px], and the poses (N, 3, 3) to start from."""
@@ -124,5 +116,5 @@ class _Pairs(Step):
 
     def launch(self) -> None:
         """Launch the kernels one by one."""
-        self._backend.mix_images(self._corners, self._weight.device, self._images)
+        self._backend.mix_images(self._corners, self._weight.device, self._images.device)
         self.align.launch()

@@ -7,88 +7,119 @@ gain that it ends with stage two's right-hand side.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-from typing import Any
-
-import numpy as np
-from numpy.typing import NDArray
+from dataclasses import dataclass, replace
 
 from evqr.config import ReadConfig
 from evqr.events.window import Window
 from evqr.fit.align import Align, Alignment, fine_levels
+from evqr.fit.detection import Detection, Target
 from evqr.fit.image import Deposit, Sharpen, depositing
 from evqr.fit.modules import Equations, NormalEquations
 from evqr.fit.region import Region
+from evqr.symbol.space import CodeSpace
 from evqr.workspace import Step, Workspace
 
 
 @dataclass(frozen=True, eq=False)
 class Measurement:
-    """What a window says of a code.
+    """What a window says of a code, on a region of it.
 
     Attributes
     ----------
-    image : (1, height, width)   on the device, until the next measurement on a region of this size
-    found                        of stage one, in cells of the region
-    equations                    of stage two, for that pose and gain
+    alignment : Alignment
+        Pose in cells of the region, gain, score and noise.
+    equations : NormalEquations
+        Of the modules, for that pose and gain.
     """
 
-    image: Any
-    found: Alignment
+    alignment: Alignment
     equations: NormalEquations
+
+    def detection(self, target: Target, region: Region, iterations: int) -> Detection:
+        """Give what was measured in px of the sensor, after so many iterations in all."""
+        found = self.alignment
+        pose = region.to_px @ found.pose[0]
+        return Detection(
+            target=replace(target, pose=pose / pose[2, 2]),
+            gain=found.gain[0],
+            score=float(found.score[0]),
+            noise=float(found.noise[0]),
+            equations=self.equations,
+            iterations=iterations,
+        )
 
 
 class Measure(Step):
     """The sequence for one size of region; with ``from_events``, or from the cells that are there."""
 
     def __init__(
-        self, deposit: Deposit, from_events: bool, version: int, cfg: ReadConfig, workspace: Workspace
+        self, deposit: Deposit, from_events: bool, space: CodeSpace, cfg: ReadConfig, workspace: Workspace
     ) -> None:
         super().__init__(workspace.backend)
-        one = cfg.stage_one
-        self._deposit = deposit  # it is known by its id as long as this lives
-        self.sharpen = Sharpen(deposit.cells, 1, workspace)
-        image = self.sharpen.images
-        self.align = Align(image, 1, version, fine_levels(one), one.max_iterations, one, workspace)
+        one = cfg.align
+        self.sharpen = Sharpen(deposit.cells, 1, one.blur_cells, workspace)
+        self.images = self.sharpen.images
+        self.align = Align(self.images, 1, space, fine_levels(one), one.max_iterations, one, workspace)
         self.equations = Equations(
-            image, self.align.pose, self.align.gain, version, one.sigma, cfg.stage_two, workspace
+            self.images, self.align.pose, self.align.gain, space, one.sigma, cfg.modules, workspace
         )
         self._steps = [*([deposit] if from_events else []), self.sharpen, self.align, self.equations]
+
+    def write(self, target: Target, region: Region) -> None:
+        """Say what is looked for and where the region lies."""
+        self.sharpen.write(target.motion, region, [target.lag_px])
+        self.align.write((region.from_px @ target.pose)[None], 0)
 
     def launch(self) -> None:
         """Launch the kernels one by one."""
         for step in self._steps:
             step.launch()
 
+    def read(self) -> Measurement:
+        """Wait for the device and give what came out."""
+        alignment = self.align.read()
+        return Measurement(alignment, self.equations.read(alignment.gain[0]))
+
+
+def measuring(
+    window: Window,
+    target: Target,
+    region: Region,
+    cfg: ReadConfig,
+    *,
+    workspace: Workspace,
+    from_events: bool = True,
+) -> Measure:
+    """Make ready to measure a code in a window: over the last measurement on a region of this size.
+
+    Parameters
+    ----------
+    target : Target
+        What is looked for, at the middle of the window.
+    region : Region
+        Around it.
+    from_events : bool
+        False: the last deposit on a region of this size is of this window and region.
+    """
+    deposit = depositing(window, target.motion, region, workspace=workspace)
+    step = deposit.once(
+        ("measure", from_events, target.space, cfg.align, cfg.modules),
+        lambda: Measure(deposit, from_events, target.space, cfg, workspace),
+    )
+    step.write(target, region)
+    return step
+
 
 def measure(
     window: Window,
-    velocity: NDArray[np.float64],
+    target: Target,
     region: Region,
-    pose: NDArray[np.float64],
-    version: int,
-    lag_px: tuple[float, float],
     cfg: ReadConfig,
     *,
     workspace: Workspace,
     from_events: bool = True,
 ) -> Measurement:
-    """Refine the pose of a code in a window and build its equations.
-
-    Parameters
-    ----------
-    velocity : (2,)   [px/s]
-    pose : (3, 3)     code coordinates to cells of the region
-    lag_px            of the pixels along the motion, for ON and OFF events [px]
-    from_events       False: the last deposit on a region of this size is of this window and region
-    """
-    deposit = depositing(window, velocity, region, workspace=workspace)
-    step = workspace.once(
-        ("measure", id(deposit), from_events, version, cfg.stage_one, cfg.stage_two),
-        lambda: Measure(deposit, from_events, version, cfg, workspace),
-    )
-    step.sharpen.write(velocity, region, [lag_px])
-    step.align.write(pose[None], 0)
+    """Refine the pose of a code in a window and build its equations; parameters as of `measuring`."""
+    step = measuring(window, target, region, cfg, workspace=workspace, from_events=from_events)
     step.run()
-    found = step.align.read()
-    return Measurement(step.sharpen.images, found, step.equations.read(found.gain[0]))
+    return step.read()

@@ -17,8 +17,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from evqr.symbol import qr
-from evqr.symbol.space import read_only
+from evqr.symbol.space import CodeSpace, read_only
 
 QUIET_MODULES = 3
 """Modules of quiet zone around the symbol that the model covers; the standard demands four."""
@@ -71,9 +70,8 @@ class PoseTable:
 
 
 @functools.lru_cache(maxsize=256)
-def pose_table(version: int, sigma: float, samples_a_module: int) -> PoseTable:
-    """Build the table for a version, a blur [modules] and a sampling; cached."""
-    space = qr.space(version)
+def pose_table(space: CodeSpace, sigma: float, samples_a_module: int) -> PoseTable:
+    """Build the table for a code space, a blur [modules] and a sampling; cached."""
     size = space.size
     axis = lattice(size, samples_a_module)
     b, b1, b2 = profiles(axis[:, None] - np.arange(size), sigma)

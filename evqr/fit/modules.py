@@ -20,10 +20,11 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from evqr.config import StageTwoConfig
+from evqr.config import ModulesConfig
 from evqr.fit.model import QUIET_MODULES, lattice, profiles
-from evqr.symbol import qr
-from evqr.workspace import Step, Workspace
+from evqr.symbol.space import CodeSpace
+from evqr.values import Value
+from evqr.workspace import Images, Step, Workspace
 
 REACH = 2
 """Modules on either side that a module meets in the normal matrix."""
@@ -33,24 +34,31 @@ SUPPORT = 5
 
 
 @dataclass(frozen=True, eq=False)
-class NormalEquations:
+class NormalEquations(Value):
     """What a window, or a sum of windows, knows of q - 1, the modules' distance from light.
 
     In units of one window's events, or of their noise once they are `weighted`.
 
     Attributes
     ----------
-    version
-    stencil : (2 REACH + 1, 2 REACH + 1) float64     A^T A
-    rhs : (n, n) float64                             A^T e, quiet zone included: n = r + 2 QUIET_MODULES
+    space : CodeSpace
+        Whose modules they are.
+    stencil : (2 REACH + 1, 2 REACH + 1) float64
+        A^T A.
+    rhs : (n, n) float64
+        A^T e, quiet zone included: n = r + 2 QUIET_MODULES.
     """
 
-    version: int
+    space: CodeSpace
     stencil: NDArray[np.float64]
     rhs: NDArray[np.float64]
 
+    def __post_init__(self) -> None:
+        # not copied: they are nobody else's
+        self.stencil.flags.writeable = self.rhs.flags.writeable = False
+
     def __add__(self, other: NormalEquations) -> NormalEquations:
-        return NormalEquations(self.version, self.stencil + other.stencil, self.rhs + other.rhs)
+        return NormalEquations(self.space, self.stencil + other.stencil, self.rhs + other.rhs)
 
     def weighted(self, noise: float) -> NormalEquations:
         """Give the same equations with the weight that they deserve, one over the variance of the noise."""
@@ -58,7 +66,7 @@ class NormalEquations:
 
     def scaled(self, weight: float) -> NormalEquations:
         """Give the same equations with a weight."""
-        return NormalEquations(self.version, weight * self.stencil, weight * self.rhs)
+        return NormalEquations(self.space, weight * self.stencil, weight * self.rhs)
 
 
 @dataclass(frozen=True, eq=False)
@@ -92,13 +100,13 @@ class Equations(Step):
     """Right-hand side of a window's normal equations, for a pose (1, 9) and a gain (1, 2) on the device."""
 
     def __init__(
-        self, image: Any, pose: Any, gain: Any, version: int, sigma: float, cfg: StageTwoConfig,
+        self, images: Images, pose: Any, gain: Any, space: CodeSpace, sigma: float, cfg: ModulesConfig,
         workspace: Workspace,
     ) -> None:  # fmt: skip
         super().__init__(workspace.backend)
-        self._version = version
-        self._image, self._pose, self._gain = image, pose, gain
-        axis = lattice(qr.size_of(version), cfg.samples)
+        self._space = space
+        self._image, self._pose, self._gain = images.device, pose, gain
+        axis = lattice(space.size, cfg.samples)
         count, modules = len(axis), len(axis) // cfg.samples
         b, slope, bb, ss, bs = _profile_tables(sigma, cfg.samples)
         mixed = np.outer(bs, bs[::-1])
@@ -122,13 +130,12 @@ class Equations(Step):
         across, down, mixed = self._products
         a_u, a_v = gain.tolist()
         stencil = a_u * a_u * across + a_v * a_v * down + a_u * a_v * mixed
-        return NormalEquations(self._version, stencil, self._rhs.read()[0].astype(np.float64))
+        return NormalEquations(self._space, stencil, self._rhs.read()[0].astype(np.float64))
 
 
 @functools.cache
-def _fixed(version: int) -> tuple[NDArray[np.int32], NDArray[np.float32]]:
+def _fixed(space: CodeSpace) -> tuple[NDArray[np.int32], NDArray[np.float32]]:
     """Which modules are free, and q - 1 to start from: known values, and the middle where free."""
-    space = qr.space(version)
     inner = slice(QUIET_MODULES, QUIET_MODULES + space.size)
     modules = space.size + 2 * QUIET_MODULES
     free = np.zeros((modules, modules), np.int32)
@@ -144,9 +151,9 @@ class Solution(Step):
     After `write` comes `run_first`, then `run` for every further pass.
     """
 
-    def __init__(self, version: int, cfg: StageTwoConfig, workspace: Workspace) -> None:
+    def __init__(self, space: CodeSpace, cfg: ModulesConfig, workspace: Workspace) -> None:
         super().__init__(workspace.backend)
-        free, self._start = _fixed(version)
+        free, self._start = _fixed(space)
         modules, reach = len(free), 2 * REACH + 1
         self._cfg, self._free = cfg, workspace.put(free)
         self._seen, self._q = (workspace.mirror((1, modules, modules)) for _ in range(2))
@@ -206,18 +213,18 @@ class Solution(Step):
         return self._q.read()[0, inner, inner] + np.float32(1.0)
 
 
-def solve_modules(equations: NormalEquations, cfg: StageTwoConfig, *, workspace: Workspace) -> CodeEstimate:
+def solve_modules(equations: NormalEquations, cfg: ModulesConfig, *, workspace: Workspace) -> CodeEstimate:
     """Solve for the unknown modules, with function patterns and quiet zone fixed.
 
     Parameters
     ----------
     equations   weighted by one over the variance of the noise
     """
-    version = equations.version
-    step = workspace.once(("code", version, cfg), lambda: Solution(version, cfg, workspace))
+    space = equations.space
+    step = workspace.once(("code", space, cfg), lambda: Solution(space, cfg, workspace))
     step.write(equations)
     step.run_first()
-    iterations, most_unclear = step.iterations, cfg.unclear * qr.size_of(version) ** 2
+    iterations, most_unclear = step.iterations, cfg.unclear * space.size**2
     for _ in range(cfg.passes - 1):
         if step.unclear <= most_unclear:
             break

@@ -8,9 +8,10 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from evqr.config import StageOneConfig
+from evqr.config import AlignConfig
 from evqr.fit.model import QUIET_MODULES
 from evqr.geometry import module_px, outline
+from evqr.symbol.space import CodeSpace
 
 GRAIN = 16
 """Regions grow in steps of so many cells, so that their buffers are used again."""
@@ -47,11 +48,11 @@ class Region:
 
 
 def region_around(
-    pose: NDArray[np.float64], size: int, cfg: StageOneConfig, *, margin_px: float = 0.0
+    pose: NDArray[np.float64], space: CodeSpace, cfg: AlignConfig, *, margin_px: float = 0.0
 ) -> Region:
     """Give the region that holds a code and its quiet zone."""
-    corners = outline(pose, size, QUIET_MODULES + 1.0)
-    cell = module_px(pose, size) / cfg.cells_a_module
+    corners = outline(pose, space.size, QUIET_MODULES + 1.0)
+    cell = module_px(pose, space.size) / cfg.cells_a_module
     low = [min(along) - margin_px for along in corners.T.tolist()]
     high = [max(along) + margin_px for along in corners.T.tolist()]
     width, height = (

@@ -17,13 +17,15 @@ from typing import Any, TypeAlias
 import numpy as np
 from numpy.typing import NDArray
 
-from evqr.config import FinderConfig, LookConfig
+from evqr.config import FinderConfig, SearchPass
 from evqr.events.window import Window
 from evqr.fit.image import Deposit, Sharpen
 from evqr.fit.model import profiles
 from evqr.fit.region import Region
-from evqr.symbol.qr import MAX_VERSION, MIN_VERSION
-from evqr.workspace import EventSlots, Mirror, Step, Workspace
+from evqr.motion import Motion
+from evqr.symbol import qr
+from evqr.symbol.space import CodeSpace
+from evqr.workspace import EventSlots, Images, Mirror, Step, Workspace
 
 ANGLES = 8
 """Templates, over a right angle: a finder pattern looks alike turned by one."""
@@ -34,14 +36,8 @@ TERMS = 5
 FEWEST_CELLS = 24
 """Width of the smallest level [cells]: kernels take blocks of them."""
 
-CLIP = 3.0
-"""Cells are clipped at so many times the mean strength of those that have events: a hot pixel is no edge."""
-
-MOST_A_ROW = 8
-"""Peaks kept of one row of a level."""
-
-MOST_OF_A_CORNER = 8
-"""Triples kept that have one corner."""
+BLUR_CELLS = 0.55
+"""Blur of the finest image beyond that of the deposit [cells]."""
 
 _Affine: TypeAlias = list[tuple[float, float, float]]
 
@@ -87,12 +83,14 @@ class PyramidLevel:
 
     Attributes
     ----------
-    cell                        size of a cell [px]
-    image : (1, Y, X) float32   on the device, until the next search
+    cell : float [px]
+        Size of a cell.
+    image : Images
+        One image, until the next search with the same settings in a window of this size.
     """
 
     cell: float
-    image: Any
+    image: Images
 
     @cached_property
     def from_px(self) -> NDArray[np.float64]:
@@ -113,14 +111,19 @@ class Hypothesis:
 
     Attributes
     ----------
-    version           1 to 40
-    pose : (3, 3)     code coordinates to px
-    response          sum of the three responses
-    inverted          light modules on dark
-    triple            which three patterns: hypotheses from the same ones differ in version
+    space : CodeSpace
+        Kind and size of the code.
+    pose : (3, 3) float64
+        Code coordinates to px.
+    response : float
+        Sum of the responses of its finder patterns.
+    inverted : bool
+        Light modules on dark.
+    triple : int
+        Which patterns: hypotheses from the same ones differ in the size of the code.
     """
 
-    version: int
+    space: CodeSpace
     pose: NDArray[np.float64]
     response: float
     inverted: bool
@@ -171,10 +174,11 @@ def _bank(degrees: int, cfg: FinderConfig) -> tuple[NDArray[np.float64], ...]:
     return (flat @ (mix / length)).reshape(*bank.shape[:2], TERMS), mix * length
 
 
-def _module_sizes(look: LookConfig, ratio: float) -> list[float]:
+def _module_sizes(search_pass: SearchPass, ratio: float) -> list[float]:
     """Sizes from the smallest on; each answers for half a step on either side."""
-    count = 1 + round(math.log(look.largest_module_px / look.smallest_module_px) / math.log(ratio))
-    return [look.smallest_module_px * ratio**k for k in range(count)]
+    smallest, largest = search_pass.smallest_module_px, search_pass.largest_module_px
+    count = 1 + round(math.log(largest / smallest) / math.log(ratio))
+    return [smallest * ratio**k for k in range(count)]
 
 
 def _four(count: int) -> int:
@@ -185,19 +189,19 @@ class _Search:
     """The search in windows of one size of image: its levels, and what runs over them."""
 
     def __init__(
-        self, events: EventSlots, height: int, width: int, cfg: FinderConfig, look: LookConfig,
+        self, events: EventSlots, height: int, width: int, cfg: FinderConfig, search_pass: SearchPass,
         workspace: Workspace,
     ) -> None:  # fmt: skip
         backend, half = workspace.backend, cfg.half
         side = 2 * half + 1
         self._basis, self._mix = workspace.mirror((side, side, TERMS)), workspace.mirror((ANGLES, TERMS))
-        self._peaks = workspace.mirror((1, look.peaks, 5))
+        self._peaks = workspace.mirror((1, search_pass.peaks, 5))
         self._match = Match(self._peaks, cfg, workspace)
         spans = workspace.put(_spans(cfg))
         self.pyramid: list[PyramidLevel] = []
         padded: list[Any] = []
         modules: list[float] = []
-        for module_px in _module_sizes(look, cfg.scale_ratio):
+        for module_px in _module_sizes(search_pass, cfg.scale_ratio):
             cell = module_px / cfg.cells_a_module
             rows, columns = math.ceil(height / cell), _four(math.ceil(width / cell))
             if rows < side or columns < FEWEST_CELLS:
@@ -205,21 +209,23 @@ class _Search:
             # a border of zeros, which templates may hang over
             padded.append(workspace.empty(1, rows + 2 * half, columns + 2 * half))
             backend.clear(padded[-1])
-            self.pyramid.append(PyramidLevel(cell, padded[-1][:, half : half + rows, half : half + columns]))
+            inner = padded[-1][:, half : half + rows, half : half + columns]
+            self.pyramid.append(PyramidLevel(cell, Images(inner)))
             modules.append(module_px)
-        self._cfg, self._most, self._run = cfg, look.hypotheses, None
+        self._cfg, self._most, self._run = cfg, search_pass.hypotheses, None
         self._degrees: int | None = None
         if not self.pyramid:
             return
-        shapes = [level.image.shape[1:] for level in self.pyramid]
+        shapes = [level.image.device.shape[1:] for level in self.pyramid]
         cell, (rows, columns) = self.pyramid[0].cell, shapes[0]
         self._region = Region(-0.5, -0.5, cell, rows, columns)
         self._deposit = Deposit(events, rows, columns, workspace)
-        self._sharpen = Sharpen(self._deposit.cells, 1, workspace)
+        self._sharpen = Sharpen(self._deposit.cells, 1, BLUR_CELLS, workspace)
         slots = sum(rows for rows, _ in shapes)
-        maxima = workspace.empty(1, slots, MOST_A_ROW, 5)
-        strength = workspace.empty(1, slots * MOST_A_ROW)
-        index = workspace.empty(1, slots * MOST_A_ROW, dtype=np.int32)
+        a_row = cfg.peaks_a_row
+        maxima = workspace.empty(1, slots, a_row, 5)
+        strength = workspace.empty(1, slots * a_row)
+        index = workspace.empty(1, slots * a_row, dtype=np.int32)
         busy = workspace.empty(1)
 
         def launch() -> None:
@@ -229,21 +235,21 @@ class _Search:
                     self._deposit.launch()
                     self._sharpen.launch()
                     backend.clip_outliers(
-                        self._sharpen.images, CLIP, workspace.empty(1, rows, 2), workspace.empty(1), busy,
-                        level.image,
+                        self._sharpen.images.device, cfg.clip, workspace.empty(1, rows, 2),
+                        workspace.empty(1), busy, level.image.device,
                     )  # fmt: skip
                 else:
-                    fine = self.pyramid[k - 1].image
+                    fine = self.pyramid[k - 1].image.device
                     backend.reduce_image(
-                        fine, cfg.scale_ratio, workspace.empty(1, rows, fine.shape[2]), level.image
+                        fine, cfg.scale_ratio, workspace.empty(1, rows, fine.shape[2]), level.image.device
                     )
                 response = workspace.empty(1, rows, columns)
                 angle = workspace.empty(1, rows, columns, dtype=np.int32)
                 # as large a part of each level is busy as of the finest
                 share = math.prod(shapes[0]) / math.prod(shapes[k])
                 backend.correlate_templates(
-                    padded[k], busy, self._basis.device, self._mix.device, spans, share * look.floor,
-                    cfg.min_response,
+                    padded[k], busy, self._basis.device, self._mix.device, spans,
+                    share * search_pass.floor, cfg.min_response,
                     workspace.empty(1, rows + 2 * half + 1, columns + 2 * half),
                     workspace.empty(1),
                     workspace.empty(1, TERMS + 1, rows, columns),
@@ -255,20 +261,19 @@ class _Search:
                 )  # fmt: skip
                 first += rows
             backend.merge_maxima(
-                maxima.reshape((1, slots * MOST_A_ROW, 5)), 2.0, 1.5 * math.log(cfg.scale_ratio), strength,
+                maxima.reshape((1, slots * a_row, 5)), 2.0, 1.5 * math.log(cfg.scale_ratio), strength,
                 index, self._peaks.device,
             )  # fmt: skip
             self._match.launch()
 
         self._run = backend.record(launch)
 
-    def __call__(
-        self, window: Window, velocity: NDArray[np.float64], lag_px: tuple[float, float] | None
-    ) -> Found:
+    def __call__(self, window: Window, motion: Motion, lag_px: tuple[float, float] | None) -> Found:
         """Find what is in a window."""
         if self._run is None:
             return Found([], Peaks(np.empty((0, 5), np.float32)), [])
-        degrees = round(math.degrees(math.atan2(velocity[1], velocity[0])))  # as good as it is known
+        v_x, v_y = motion.velocity.tolist()
+        degrees = round(math.degrees(math.atan2(v_y, v_x)))  # as good as it is known
         if degrees != self._degrees:
             basis, mix = _bank(degrees, self._cfg)
             self._basis.write(basis)
@@ -277,8 +282,8 @@ class _Search:
         if lag_px is None:
             on, off = self._cfg.lag_cells
             lag_px = on * self._region.cell, off * self._region.cell
-        self._deposit.write(window, velocity, self._region)
-        self._sharpen.write(velocity, self._region, [lag_px])
+        self._deposit.write(window, motion, self._region)
+        self._sharpen.write(motion, self._region, [lag_px])
         self._run()
         hypotheses = self._match.read(self._most)
         peaks = self._peaks.host[0]
@@ -295,13 +300,13 @@ class Match(Step):
     def __init__(self, peaks: Mirror, cfg: FinderConfig, workspace: Workspace) -> None:
         super().__init__(workspace.backend)
         room = peaks.host.shape[1]
-        log_legs = np.log((10.0 + 4.0 * MIN_VERSION, 10.0 + 4.0 * MAX_VERSION))
+        log_legs = np.log((10.0 + 4.0 * qr.MIN_VERSION, 10.0 + 4.0 * qr.MAX_VERSION))
         tolerances = (cfg.leg_tolerance, cfg.scale_tolerance, cfg.angle_tolerance, *log_legs)
-        self._peaks, self._scale_tolerance = peaks, cfg.scale_tolerance
+        self._peaks, self._cfg = peaks, cfg
         self._tolerances = workspace.put(np.array(tolerances, np.float32))
         self._ends = workspace.empty(1, room, room, dtype=np.int32)
         self._legs = workspace.empty(1, room, room, 3)
-        self._triples = workspace.mirror((1, room, MOST_OF_A_CORNER, 4))
+        self._triples = workspace.mirror((1, room, cfg.triples_a_corner, 4))
 
     def launch(self) -> None:
         """Launch the kernels one by one."""
@@ -314,20 +319,20 @@ class Match(Step):
         peaks = self._peaks.read()[0]
         triples = self._triples.read().reshape(-1, 4)
         places = peaks[:, 1:3].tolist()
-        found: list[tuple[int, float, bool, int]] = []
+        found: list[tuple[CodeSpace, float, bool, int]] = []
         poses: list[_Affine] = []
         for triple, index in enumerate(np.argsort(-triples[:, 0], kind="stable").tolist()):
             response, j, k, log_modules = triples[index].tolist()
             if not response or len(found) >= most:
                 break
-            i = index // MOST_OF_A_CORNER
+            i = index // self._cfg.triples_a_corner
             inverted = bool(peaks[i, 0] < 0.0)
-            for version in _versions(log_modules, self._scale_tolerance):
-                found.append((version, response, inverted, triple))
+            for version in _versions(log_modules, self._cfg.scale_tolerance):
+                found.append((qr.space(version), response, inverted, triple))
                 poses.append(_pose(places[i], places[int(j)], places[int(k)], version))
         return [
-            Hypothesis(version, pose, response, inverted, triple)
-            for pose, (version, response, inverted, triple) in zip(np.array(poses), found, strict=True)
+            Hypothesis(space, pose, response, inverted, triple)
+            for pose, (space, response, inverted, triple) in zip(np.array(poses), found, strict=True)
         ]
 
 
@@ -349,34 +354,48 @@ class Found:
 
 def find_hypotheses(
     window: Window,
-    velocity: NDArray[np.float64],
+    motion: Motion,
     cfg: FinderConfig,
     *,
     workspace: Workspace,
-    look: LookConfig | None = None,
+    search_pass: SearchPass | None = None,
     lag_px: tuple[float, float] | None = None,
 ) -> Found:
     """Find finder patterns in a window, and the codes that three of them could belong to.
 
     Parameters
     ----------
-    velocity : (2,) [px/s]
-    look            default the configured last, most thorough
-    lag_px          lag of the pixels for ON and OFF events along the motion [px]; default as configured
+    window : Window
+        Where to search.
+    motion : Motion
+        Of the codes, at the middle of the window.
+    cfg : FinderConfig
+        Settings.
+    workspace : Workspace
+        Buffers.
+    search_pass : SearchPass
+        How thoroughly; default the configured last, most thorough one.
+    lag_px : (float, float) [px]
+        Lag of the pixels for ON and OFF events along the motion; default as configured.
+
+    Returns
+    -------
+    found : Found
+        Its images last until the next search.
     """
-    look = look or cfg.looks[-1]
+    search_pass = search_pass or cfg.passes[-1]
     events = workspace.events(window)
     search = workspace.once(
-        ("search", events.capacity, window.height, window.width, cfg, look),
-        lambda: _Search(events, window.height, window.width, cfg, look, workspace),
+        ("search", events.capacity, window.height, window.width, cfg, search_pass),
+        lambda: _Search(events, window.height, window.width, cfg, search_pass, workspace),
     )
-    return search(window, velocity, lag_px)
+    return search(window, motion, lag_px)
 
 
 def _versions(log_modules: float, tolerance: float) -> list[int]:
     """Versions whose finder patterns are so many modules apart, to a tolerance, best first."""
     least, most = (0.25 * (math.exp(log_modules + end) - 10.0) for end in (-tolerance, tolerance))
-    fits = range(max(math.ceil(least), MIN_VERSION), min(math.floor(most), MAX_VERSION) + 1)
+    fits = range(max(math.ceil(least), qr.MIN_VERSION), min(math.floor(most), qr.MAX_VERSION) + 1)
     return sorted(fits, key=lambda version: abs(math.log(10.0 + 4.0 * version) - log_modules))
 
 

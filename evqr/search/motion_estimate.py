@@ -9,7 +9,8 @@ order of time.
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from collections.abc import Mapping
+from dataclasses import dataclass, field
 
 import numpy as np
 from numpy.typing import NDArray
@@ -17,32 +18,35 @@ from numpy.typing import NDArray
 from evqr.config import MotionConfig
 from evqr.events.buffer import Asking
 from evqr.events.window import Window
+from evqr.motion import Motion
+from evqr.reason import Reason
+from evqr.values import Value
 from evqr.workspace import EventSlots, Workspace
 
-FEWEST_EVENTS = 200
-"""Events below which a window says nothing about motion."""
+MOST_PROBES, LONGER = 4, 4
+"""Windows tried while the speed is unknown, each so many times as long as the one before."""
 
-TIMES = 256
-"""Events at most whose times are averaged: they are quantiles, so that the mean is as good as that of all."""
+LEAST_TRAVEL_PX = 1.0
+"""Travel in such a window that tells a speed [px]."""
 
 
 @dataclass(frozen=True, eq=False)
-class Motion:
-    """Motion common to a window.
+class MotionEstimate(Value):
+    """The motion common to a window's events.
 
     Attributes
     ----------
-    velocity : (2,) float64 [px/s]
-    peak                           normalised correlation of the two halves, 0 to 1
+    motion : Motion
+        At the middle of the window.
+    correlation : float
+        Normalised correlation of the two halves, 0 to 1.
+    timings_ms : mapping of str to float [ms]
+        By stage; does not count in comparisons.
     """
 
-    velocity: NDArray[np.float64]
-    peak: float
-
-    @property
-    def speed(self) -> float:
-        """Length of the velocity [px/s]."""
-        return float(np.hypot(*self.velocity))
+    motion: Motion
+    correlation: float
+    timings_ms: Mapping[str, float] = field(default_factory=dict, compare=False)
 
 
 def _smoother(size: int, sigma: float) -> NDArray[np.float32]:
@@ -89,22 +93,30 @@ class _Correlator:
 
 def estimate_motion(
     window: Window, cfg: MotionConfig, *, workspace: Workspace, reduction: int = 1, reach: int | None = None
-) -> Motion | None:
+) -> MotionEstimate | Reason:
     """Estimate the motion common to a window's events.
 
     Parameters
     ----------
-    reduction   binning [px]; 1 is the precise look
-    reach       largest displacement between the halves [binned px]; default ``cfg.reach_px``, and more where
-                the peak lies there
+    window : Window
+        Whose motion.
+    cfg : MotionConfig
+        Settings.
+    workspace : Workspace
+        Buffers.
+    reduction : int [px]
+        Binning; 1 is the precise estimate.
+    reach : int [binned px]
+        Largest displacement between the halves; default ``cfg.reach_px``, and more where the peak lies there.
 
     Returns
     -------
-    Motion      or None where a half has too few events or nothing correlates
+    estimate : MotionEstimate or Reason
+        TOO_FEW_EVENTS in a half of the window, or NOTHING_MOVES where the halves do not correlate.
     """
     middle = window.events.first_at(window.middle_us)
-    if min(middle, len(window) - middle) < FEWEST_EVENTS // 2:
-        return None
+    if min(middle, len(window) - middle) < cfg.fewest_events // 2:
+        return Reason.TOO_FEW_EVENTS
     radius = (reach or cfg.reach_px) + max(2, round(cfg.blur_px / reduction))
     height, width = -(-window.height // reduction), -(-window.width // reduction)
     events = workspace.events(window, times=False)
@@ -115,33 +127,24 @@ def estimate_motion(
     shift, correlation = correlate(middle, len(window))
     if reach is None and np.abs(shift).max() >= cfg.reach_px:
         return estimate_motion(window, cfg, workspace=workspace, reduction=reduction, reach=4 * cfg.reach_px)
-    between = _mean_us(window, middle, len(window)) - _mean_us(window, 0, middle)
+    between = _mean_us(window, middle, len(window), cfg) - _mean_us(window, 0, middle, cfg)
     if between <= 0.0 or correlation < cfg.min_peak:
-        return None
-    return Motion(shift * reduction / (between * 1e-6), correlation)
+        return Reason.NOTHING_MOVES
+    motion = Motion(shift * reduction / (between * 1e-6), window.middle_us)
+    return MotionEstimate(motion, correlation)
 
 
-def _mean_us(window: Window, first: int, last: int) -> float:
+def _mean_us(window: Window, first: int, last: int, cfg: MotionConfig) -> float:
     """Mean time of some events since the window's start [us], from every n-th: they are in order of time."""
-    step = 1 + (last - first) // TIMES
+    step = 1 + (last - first) // cfg.most_times
     times = window.events.t[first + step // 2 : last : step] - window.start_us
     return int(times.sum()) / len(times)
 
 
-def travel_time_us(speed: float, travel_px: float) -> float:
-    """Time in which something at ``speed`` [px/s], which may be 0, travels ``travel_px`` [us]."""
-    return travel_px / max(speed, 1e-9) * 1e6
-
-
-def window_length_us(speed: float, travel_px: float, cfg: MotionConfig) -> int:
-    """Length of a window in which something at ``speed`` [px/s] travels ``travel_px`` [us]."""
-    return int(min(max(travel_time_us(speed, travel_px), 20.0), cfg.longest_us))
-
-
 def find_motion(
-    start_us: int, cfg: MotionConfig, *, workspace: Workspace, speed: float | None = None
-) -> Asking[Motion | None]:
-    """Estimate the motion at a time from cold: look coarsely, then over a window that suits the speed.
+    start_us: int, cfg: MotionConfig, *, workspace: Workspace, guess: Motion | None = None
+) -> Asking[MotionEstimate | Reason]:
+    """Estimate the motion at a time from cold: coarsely, then over a window that suits the speed.
 
     Which windows it takes depends on what the ones before say, so it asks for them one by one
     (`EventBuffer.answer` runs it where all events are there).
@@ -150,21 +153,29 @@ def find_motion(
     ----------
     start_us : int [us]
         All windows begin here.
-    speed : float [px/s]
-        A guess, from an earlier window; None: nothing known.
+    cfg : MotionConfig
+        Settings.
+    workspace : Workspace
+        Buffers.
+    guess : Motion
+        From an earlier window, for its speed; None: nothing known.
+
+    Returns
+    -------
+    estimate : MotionEstimate or Reason
+        As of `estimate_motion`.
     """
-    if speed is None:
-        length = cfg.probe_us
-        for _ in range(4):
-            window = yield start_us, start_us + length
-            coarse = estimate_motion(window, cfg, workspace=workspace, reduction=cfg.reduction)
-            if coarse is not None and coarse.speed * length * 1e-6 >= 1.0:
-                speed = coarse.speed
-                break
-            if length >= cfg.longest_us:
-                return None
-            length = min(4 * length, cfg.longest_us)
-        else:
-            return None
-    window = yield start_us, start_us + window_length_us(speed, cfg.travel_px, cfg)
+    length = cfg.probe_us
+    for _ in range(0 if guess is not None else MOST_PROBES):
+        window = yield start_us, start_us + length
+        coarse = estimate_motion(window, cfg, workspace=workspace, reduction=cfg.reduction)
+        if isinstance(coarse, MotionEstimate) and coarse.motion.travel_px(length) >= LEAST_TRAVEL_PX:
+            guess = coarse.motion
+            break
+        if length >= cfg.longest_us:
+            return Reason.NOTHING_MOVES
+        length = min(LONGER * length, cfg.longest_us)
+    if guess is None:
+        return Reason.NOTHING_MOVES
+    window = yield start_us, start_us + guess.window_us(cfg.travel_px, longest_us=cfg.longest_us)
     return estimate_motion(window, cfg, workspace=workspace)

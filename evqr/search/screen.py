@@ -1,7 +1,7 @@
 """Poses from the search, tried coarsely: which hypotheses deserve a closer look.
 
 Stage one's coarse levels run on the images that the search for finder patterns made already, all hypotheses
-of one version in one batch.
+of one code space in one batch.
 """
 
 from __future__ import annotations
@@ -12,9 +12,10 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from evqr.config import StageOneConfig
+from evqr.config import AlignConfig
 from evqr.fit.align import align, coarse_levels
 from evqr.search.finder import Hypothesis, PyramidLevel
+from evqr.symbol.space import CodeSpace
 from evqr.workspace import Workspace
 
 
@@ -24,12 +25,15 @@ class Candidate:
 
     Attributes
     ----------
-    version         1 to 40
-    pose : (3, 3)   code coordinates to px
-    score           correlation with the known modules, blurred
+    space : CodeSpace
+        Kind and size of the code.
+    pose : (3, 3) float64
+        Code coordinates to px.
+    score : float
+        Correlation with the known modules, blurred.
     """
 
-    version: int
+    space: CodeSpace
     pose: NDArray[np.float64]
     score: float
 
@@ -37,7 +41,7 @@ class Candidate:
 def batches(hypotheses: list[Hypothesis], first: int) -> list[list[Hypothesis]]:
     """Split hypotheses into those tried before the others, ``first`` or a few more, and the others.
 
-    No triple is split: another version of it may agree with a large code well enough to end the search.
+    No triple is split: another size of it may agree with a large code well enough to end the search.
     """
     end = first
     while 0 < end < len(hypotheses) and hypotheses[end].triple == hypotheses[end - 1].triple:
@@ -46,7 +50,7 @@ def batches(hypotheses: list[Hypothesis], first: int) -> list[list[Hypothesis]]:
 
 
 def screen(
-    hypotheses: list[Hypothesis], pyramid: list[PyramidLevel], cfg: StageOneConfig, *, workspace: Workspace
+    hypotheses: list[Hypothesis], pyramid: list[PyramidLevel], cfg: AlignConfig, *, workspace: Workspace
 ) -> tuple[list[Candidate], int]:
     """Refine hypotheses coarsely: those of the best triple, and the others if none of them is clearly a code.
 
@@ -60,22 +64,22 @@ def screen(
     levels = [_level_for(guess.pose, pyramid, cfg) for guess in hypotheses]
     candidates: list[Candidate] = []
     iterations = 0
-    # a version and its neighbours agree with a large code nearly alike, so all of a triple are tried
+    # a size and its neighbours agree with a large code nearly alike, so all of a triple are tried
     first = [k for k, guess in enumerate(hypotheses) if guess.triple == hypotheses[0].triple]
     others = [k for k, guess in enumerate(hypotheses) if guess.triple != hypotheses[0].triple]
     for batch in (first, others):
-        groups: dict[tuple[int, int], list[int]] = {}
+        groups: dict[tuple[CodeSpace, int], list[int]] = {}
         for k in batch:
-            groups.setdefault((hypotheses[k].version, levels[k]), []).append(k)
-        for (version, level), members in groups.items():
+            groups.setdefault((hypotheses[k].space, levels[k]), []).append(k)
+        for (space, level), members in groups.items():
             entry = pyramid[level]
             start = entry.from_px @ np.array([hypotheses[k].pose for k in members])
-            found = align(entry.image, start, version, coarse_levels(cfg), cfg, workspace=workspace)
+            found = align(entry.image, start, space, coarse_levels(cfg), cfg, workspace=workspace)
             iterations += found.iterations
             refined = entry.to_px @ found.pose
             refined /= refined[:, 2:, 2:]
             candidates += [
-                Candidate(version, pose, score)
+                Candidate(space, pose, score)
                 for pose, score in zip(refined, found.score.tolist(), strict=True)
             ]
         if max(candidate.score for candidate in candidates) >= cfg.clear_score:
@@ -84,7 +88,7 @@ def screen(
     return candidates, iterations
 
 
-def _level_for(pose: NDArray[np.float64], pyramid: list[PyramidLevel], cfg: StageOneConfig) -> int:
+def _level_for(pose: NDArray[np.float64], pyramid: list[PyramidLevel], cfg: AlignConfig) -> int:
     """Give the level whose cells are nearest to the wanted part of a module."""
     # affine, so a module is as large everywhere
     (a, b, _), (d, e, _), _ = pose.tolist()

@@ -15,11 +15,14 @@ from typing import Any
 
 import numpy as np
 
+from evqr.clock import StageClock
 from evqr.events.window import Window
+from evqr.fit.detection import Detection, NotFound
+from evqr.motion import Motion
+from evqr.reason import Reason
 from evqr.recording import Recording
 from evqr.results import CodeReading
-from evqr.search.motion_estimate import Motion, travel_time_us
-from evqr.solver import Sighting, Solver, StageClock, Unseen
+from evqr.solver import Solver
 from evqr.stream.feed import Feed
 from evqr.stream.track import Track
 
@@ -52,7 +55,7 @@ class _Look:
     start_us: int
     end_us: int
     motion: Motion | None
-    found: Sighting | Unseen
+    found: Detection | NotFound
     clock: StageClock
 
 
@@ -81,11 +84,11 @@ class Passes:
         self._tracks: list[Track] = []
         self._unread: list[Track] = []
         self._read: list[tuple[Track, int]] = []
-        self._speed: float | None = None
-        self._lag_us: tuple[float, float] | None = None
+        self._motion: Motion | None = None
+        self._tau_us: tuple[float, float] | None = None
         self._windows = 0
         self._searches = 0
-        self._nearest = Unseen("no events", -1.0)
+        self._nearest = NotFound(Reason.NO_EVENTS, closest=-1.0)
 
     def run(self) -> None:
         """Work through the recording in order of event time."""
@@ -126,17 +129,17 @@ class Passes:
     def _search(self, at_us: int) -> int:
         """Search at a time, and ahead of it on the other threads, and say when to search again [us]."""
         looks: list[_Look]
-        if self._pool is None or self._tracks or self._speed is None:
+        if self._pool is None or self._tracks or self._motion is None:
             looks = [self._look_at(self._solver, at_us)]
         else:
-            step = self._step_us(self._speed)
+            step = self._step_us(self._motion)
             starts = [at_us + k * step for k in range(len(self._solvers))]
             looks = list(self._pool.map(self._look_at, self._solvers, starts))
-        found = next((k for k, look in enumerate(looks) if isinstance(look.found, Sighting)), len(looks) - 1)
+        found = next((k for k, look in enumerate(looks) if isinstance(look.found, Detection)), len(looks) - 1)
         for look in looks[: found + 1]:
             self._searches += 1
             self._windows += look.end_us > look.start_us
-            if isinstance(look.found, Unseen) and look.found.closest >= self._nearest.closest:
+            if isinstance(look.found, NotFound) and look.found.closest >= self._nearest.closest:
                 self._nearest = look.found
         for look in looks[:found]:
             self._note(look.clock)
@@ -144,55 +147,57 @@ class Passes:
         if look.motion is None:
             self._note(look.clock)
             return look.start_us + SEARCH_UNKNOWN_US
-        self._speed = look.motion.speed
+        self._motion = look.motion
         for _ in range(MOST_BESIDE):
-            if not isinstance(look.found, Sighting) or look.motion is None:
+            if not isinstance(look.found, Detection) or look.motion is None:
                 break
             self._tracks.append(Track(look.found, look.start_us, look.end_us, self._solver, look.clock))
             self._settle(self._tracks[-1])
             look = self._look_beside(look, look.motion)
         self._note(look.clock)
-        return look.start_us + self._step_us(self._speed)
+        return look.start_us + self._step_us(self._motion)
 
     def _look_beside(self, look: _Look, motion: Motion) -> _Look:
         """Search the window of a find again, for a code beside it."""
-        clock = self._solver.clock = StageClock()
+        clock = StageClock()
         window = self._outside_tracks(self.events.window(look.start_us, look.end_us))
-        found = self._solver.look(window, motion, lag_us=self._lag_us)
+        found = self._solver.find(window, motion, tau_us=self._tau_us)
+        clock.add(found.timings_ms)
         return replace(look, found=found, clock=clock)
 
-    def _step_us(self, speed: float) -> int:
+    def _step_us(self, motion: Motion) -> int:
         """Time between two searches [us]."""
         sure = any(track.reading is not None for track in self._tracks)
         travel = self.config.search_px * (SEARCH_SELDOM if sure else 1)
-        step = max(self._solver.window_us(speed), round(travel_time_us(speed, travel)))
+        step = max(self._solver.window_us(motion), round(motion.travel_time_us(travel)))
         return min(step, SEARCH_LONGEST_US)
 
     def _look_at(self, solver: Solver, at_us: int) -> _Look:
         """Search once; runs on any thread and changes nothing here."""
-        solver.clock = StageClock()
-        motion = solver.motion_at(self.events, at_us, speed=self._speed)
-        if motion is None and self._speed is not None:
-            motion = solver.motion_at(self.events, at_us)
-        if motion is None:
-            return _Look(at_us, at_us, None, Unseen("nothing moves"), solver.clock)
-        end_us = at_us + solver.window_us(motion.speed)
+        clock = StageClock()
+        moving = solver.motion_at(self.events, at_us, guess=self._motion)
+        clock.add(moving.timings_ms)
+        if isinstance(moving, NotFound) and self._motion is not None:
+            moving = solver.motion_at(self.events, at_us)
+            clock.add(moving.timings_ms)
+        if isinstance(moving, NotFound):
+            return _Look(at_us, at_us, None, NotFound(Reason.NOTHING_MOVES), clock)
+        motion = moving.motion
+        end_us = at_us + solver.window_us(motion)
         if not self.events.reaches(end_us):
-            return _Look(at_us, at_us, motion, Unseen("the recording ends", -1.0), solver.clock)
+            return _Look(at_us, at_us, motion, NotFound(Reason.RECORDING_ENDS, closest=-1.0), clock)
         window = self._outside_tracks(self.events.window(at_us, end_us))
-        found = solver.look(window, motion, lag_us=self._lag_us)
-        return _Look(at_us, end_us, motion, found, solver.clock)
+        found = solver.find(window, motion, tau_us=self._tau_us)
+        clock.add(found.timings_ms)
+        return _Look(at_us, end_us, motion, found, clock)
 
     def _outside_tracks(self, window: Window) -> Window:
         """Give a window without the events of the codes that are followed already."""
         for track in self._tracks:
-            seen = track.seen
-            to_code = np.linalg.inv(seen.pose_at(window.middle_us))
-            # bring each event to the middle of the window, then into code coordinates
-            x = window.x - window.t * np.float32(seen.velocity[0])
-            y = window.y - window.t * np.float32(seen.velocity[1])
-            u, v, z = (row[0] * x + row[1] * y + row[2] for row in to_code)
-            half = seen.size / 2.0
+            target = track.seen.at(window.middle_us)
+            x, y = target.motion.transport(window.x, window.y, window.t)
+            u, v, z = (row[0] * x + row[1] * y + row[2] for row in np.linalg.inv(target.pose))
+            half = target.space.size / 2.0
             reach = half + OUTLINE_MARGIN
             window = window.keep((np.abs(u / z - half) > reach) | (np.abs(v / z - half) > reach))
         return window
@@ -205,7 +210,7 @@ class Passes:
         self._windows += 1
         was_read = track.reading is not None
         track.follow(self.events, start, end, self._solver)
-        self._speed = float(np.hypot(*track.seen.velocity))
+        self._motion = track.seen.motion
         if not was_read:
             self._settle(track)
         if track.gone:
@@ -215,15 +220,14 @@ class Passes:
         """Join a code that was just read with an earlier sight of the same one."""
         if track.reading is None:
             return
-        if any(track.seen.lag_us):  # of the sensor and its light, so the next code will lag as much
-            self._lag_us = track.seen.lag_us
+        if any(track.seen.tau_us):  # of the sensor and its light, so the next code will lag as much
+            self._tau_us = track.seen.tau_us
         for k, (earlier, index) in enumerate(self._read):
             if earlier.reading is not None and earlier.reading.text == track.reading.text:
-                middle = earlier.seen.size / 2.0
-                x, y, z = np.linalg.inv(track.seen.pose) @ (
-                    earlier.seen.pose_at(track.seen.time_us) @ (middle, middle, 1.0)
-                )
-                if np.hypot(x / z - middle, y / z - middle) < SAME_PLACE * earlier.seen.size:
+                size = earlier.seen.space.size
+                there = earlier.seen.at(track.seen.time_us)
+                x, y, z = np.linalg.inv(track.seen.pose) @ (*there.centre, 1.0)
+                if np.hypot(x / z - size / 2.0, y / z - size / 2.0) < SAME_PLACE * size:
                     self._read[k] = (track, index)
                     return
         self._read.append((track, len(self.readings)))
@@ -240,8 +244,7 @@ class Passes:
                 self.readings[index] = replace(self.readings[index], t_last_us=track.last_us)
 
     def _note(self, clock: StageClock) -> None:
-        for stage, ms in clock.ms.items():
-            self.clock.ms[stage] = self.clock.ms.get(stage, 0.0) + ms
+        self.clock.add(clock.ms)
 
     def seen(self) -> dict[str, Any]:
         """Say what was seen, for a report."""
@@ -260,4 +263,4 @@ class Passes:
             best = max(self._unread, key=lambda track: track.seen.score)
             followed = best.last_us - best.first_us
             return f"a code was followed over {followed} us but does not decode: {best.why_not}"
-        return self._nearest.reason
+        return str(self._nearest)

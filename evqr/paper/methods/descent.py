@@ -40,15 +40,18 @@ from typing import Any, Literal
 import numpy as np
 from numpy.typing import DTypeLike, NDArray
 
+from evqr.clock import StageClock
 from evqr.events.window import Window
+from evqr.fit.detection import NotFound
 from evqr.fit.model import QUIET_MODULES
 from evqr.fit.region import Region
 from evqr.geometry import module_px, outline
+from evqr.motion import Motion
 from evqr.paper.methods.method import Outcome, Watch, unwatched
 from evqr.paper.methods.start import find_pose, principal_motion
 from evqr.search.finder import find_hypotheses
 from evqr.search.screen import screen
-from evqr.solver import Solver, StageClock
+from evqr.solver import Solver
 from evqr.symbol import qr
 from evqr.symbol.decode import decode_grid
 from evqr.symbol.decoded import Decoded
@@ -103,7 +106,7 @@ class DescentReading:
     text                   None when the modules do not decode
     q : (r, r) float32     modules, < 0 dark, > 0 light
     pose : (3, 3)          code coordinates to px
-    velocity : (2,)        [px/s]
+    motion                 at the middle of the window
     stage_one_iterations   of m and W
     stage_two_iterations   of q
     compute_ms             milliseconds by stage, and "total"
@@ -112,7 +115,7 @@ class DescentReading:
     text: str | None
     q: NDArray[np.float32]
     pose: NDArray[np.float64]
-    velocity: NDArray[np.float64]
+    motion: Motion
     stage_one_iterations: int
     stage_two_iterations: int
     compute_ms: Mapping[str, float]
@@ -143,12 +146,12 @@ class Descent:
     def _descend(
         self,
         seen: Window,
-        velocity: NDArray[np.float64],
+        start: Motion,
         pose: NDArray[np.float64],
         watch: Watch,
     ) -> Outcome:
         cfg, workspace = self.cfg, self._solver.workspace
-        problem = Problem(seen, velocity, pose, self.version, cfg.epsilon_px, workspace=workspace)
+        problem = Problem(seen, start, pose, self.version, cfg.epsilon_px, workspace=workspace)
         motion, affine, pose_iterations = descend_pose(problem, cfg)
         q, iterations = descend_code(problem, motion, affine, cfg, watch)
         outcome = decode_grid(q, qr.space(self.version), effort="full")
@@ -160,8 +163,8 @@ class Descent:
             pose_iterations=pose_iterations,
         )
 
-    def from_paper(self, window: Window) -> tuple[NDArray[np.float64], NDArray[np.float64]] | None:
-        """Give a first velocity [px/s] and pose (3, 3) as the paper does, None where it finds no code."""
+    def from_paper(self, window: Window) -> tuple[Motion, NDArray[np.float64]] | None:
+        """Give a first motion and pose (3, 3) as the paper does, None where it finds no code."""
         motion = principal_motion(window)
         if motion is None:
             return None
@@ -172,30 +175,30 @@ class Descent:
             epsilon_px=self.cfg.epsilon_px,
             workspace=self._solver.workspace,
         )
-        return None if pose is None else (motion / window.seconds, pose)
+        return None if pose is None else (Motion(motion / window.seconds, window.middle_us), pose)
 
-    def from_solver(self, window: Window) -> tuple[NDArray[np.float64], NDArray[np.float64]] | None:
+    def from_solver(self, window: Window) -> tuple[Motion, NDArray[np.float64]] | None:
         """Give those that the solver's stage one starts from, None where three patterns are not found."""
         solver = self._solver
-        motion = solver.motion_in(window)
-        if motion is None:
+        moving = solver.motion_in(window)
+        if isinstance(moving, NotFound):
             return None
         finder, workspace = solver.config.finder, solver.workspace
-        found = find_hypotheses(window, motion.velocity, finder, workspace=workspace)
-        guesses = [h for h in found.hypotheses if h.version == self.version]
+        found = find_hypotheses(window, moving.motion, finder, workspace=workspace)
+        guesses = [h for h in found.hypotheses if h.space.version == self.version]
         if not guesses:
             return None
-        candidates, _ = screen(guesses, found.pyramid, solver.config.stage_one, workspace=workspace)
+        candidates, _ = screen(guesses, found.pyramid, solver.config.align, workspace=workspace)
         # which triple is the code is known from its refined pose; the descent starts from the pose as found
         size = qr.size_of(self.version)
         refined = outline(candidates[0].pose, size)
         pose = min((h.pose for h in guesses), key=lambda p: float(np.abs(outline(p, size) - refined).max()))
-        return motion.velocity, pose
+        return moving.motion, pose
 
 
 def read_window(
     window: Window,
-    velocity: NDArray[np.float64],
+    start: Motion,
     pose: NDArray[np.float64],
     version: int,
     *,
@@ -206,12 +209,12 @@ def read_window(
 
     Parameters
     ----------
-    velocity : (2,) [px/s]
+    start           first guess of the motion
     pose : (3, 3)   code coordinates to px at the middle of the window, affine
     """
     cfg, clock = cfg or DescentConfig(), StageClock()
     with clock("stage_one"):
-        problem = Problem(window, velocity, pose, version, cfg.epsilon_px, workspace=workspace)
+        problem = Problem(window, start, pose, version, cfg.epsilon_px, workspace=workspace)
         motion, affine, pose_iterations = descend_pose(problem, cfg)
     with clock("stage_two"):
         q, code_iterations = descend_code(problem, motion, affine, cfg)
@@ -221,7 +224,7 @@ def read_window(
         text=outcome.text if isinstance(outcome, Decoded) else None,
         q=q,
         pose=problem.pose_of(affine),
-        velocity=motion / window.seconds,
+        motion=Motion(motion / window.seconds, window.middle_us),
         stage_one_iterations=pose_iterations,
         stage_two_iterations=code_iterations,
         compute_ms=clock.total(),
@@ -291,7 +294,7 @@ class Problem:
     def __init__(
         self,
         window: Window,
-        velocity: NDArray[np.float64],
+        start: Motion,
         pose: NDArray[np.float64],
         version: int,
         epsilon_px: float,
@@ -316,10 +319,10 @@ class Problem:
         self._centre = (pose @ (half, half, 1.0))[:2] - low
         self._middle = half - 0.5 + QUIET_MODULES  # of the grid, integers at module centres
 
-        self.motion: NDArray[np.float64] = velocity * window.seconds
+        self.motion: NDArray[np.float64] = start.displacement(1e6 * window.seconds)
         self.affine: NDArray[np.float64] = np.zeros((2, 3))
         self.affine[:, :2] = np.linalg.inv(pose)[:2, :2] * self._unit
-        near = _events_near(window, velocity, region)
+        near = _events_near(window, start, region)
         put = self._put
         window_ptr = workspace.put(np.array([0, len(near)], np.int32))
         t = near.t / window.seconds
@@ -469,9 +472,9 @@ class Problem:
         return self._workspace.get(adj_grid)[0], self._workspace.get(adj_affine)[0].astype(np.float64)
 
 
-def _events_near(window: Window, velocity: NDArray[np.float64], region: Region) -> Window:
+def _events_near(window: Window, motion: Motion, region: Region) -> Window:
     """Keep the events of a window that can reach a region: the others are dropped once for all."""
-    reach = 0.5 * window.seconds * np.abs(velocity) + 3.0 * region.cell
+    reach = np.abs(motion.displacement(0.5e6 * window.seconds)) + 3.0 * region.cell
     return window.keep(
         (window.x > region.x - reach[0])
         & (window.x < region.x + region.width * region.cell + reach[0])

@@ -7,10 +7,10 @@ from typing import Literal
 
 from evqr.config import ReadConfig
 from evqr.events.window import Window
-from evqr.fit.fusion import Tally
+from evqr.fit.detection import Detection, NotFound
+from evqr.fit.fusion import Fusion
 from evqr.paper.methods.method import Outcome, Watch, cut
-from evqr.solver import Sighting, Solver
-from evqr.symbol import qr
+from evqr.solver import Solver
 from evqr.symbol.decode import decode_grid
 from evqr.symbol.decoded import Decoded
 
@@ -32,27 +32,27 @@ class Own:
         self._solver = Solver(ReadConfig(lag_us=None if lag else (0.0, 0.0)))
 
     def read(self, seen: Window, watch: Watch) -> Outcome:
-        """Look for the code in the first window, follow it in the others until their sum decodes."""
+        """Search for the code in the first window, follow it in the others until their sum decodes."""
         solver = self._solver
         config, workspace = solver.config, solver.workspace
-        sighting: Sighting | None = None
-        tally = Tally(config.vote, config.stage_two, workspace=workspace)
+        found: Detection | NotFound | None = None
+        fusion = Fusion(config.vote, config.modules, workspace=workspace)
         best, iterations = Outcome(converged=False), 0
         for index in range(self.windows):
             part = seen if self.windows == 1 else cut(seen, self.windows, index)
-            sighting = self._look(part) if sighting is None else solver.follow(part, sighting)
-            if sighting is None:
-                tally = Tally(config.vote, config.stage_two, workspace=workspace)
+            found = solver.follow(part, found) if isinstance(found, Detection) else self._find(part)
+            if isinstance(found, NotFound):
+                fusion = Fusion(config.vote, config.modules, workspace=workspace)
                 continue
-            estimate = tally.add(sighting.equations, sighting.noise)
+            estimate = fusion.add(found.equations, found.noise)
             iterations += estimate.iterations
             watch(iterations, estimate.q, False)
-            decoded = decode_grid(estimate.q, qr.space(sighting.version), effort="full")
+            decoded = decode_grid(estimate.q, found.space, effort="full")
             read = isinstance(decoded, Decoded)
             best = Outcome(
                 modules=estimate.q,
-                pose=sighting.pose,
-                time_us=sighting.time_us,
+                pose=found.pose,
+                time_us=found.time_us,
                 text=decoded.text if read else None,
                 confidence=decoded.confidence if read else None,
             )
@@ -60,9 +60,6 @@ class Own:
                 return replace(best, windows=index + 1)
         return replace(best, windows=self.windows)
 
-    def _look(self, window: Window) -> Sighting | None:
-        motion = self._solver.motion_in(window)
-        if motion is None:
-            return None
-        found = self._solver.look(window, motion)
-        return found if isinstance(found, Sighting) else None
+    def _find(self, window: Window) -> Detection | NotFound:
+        moving = self._solver.motion_in(window)
+        return moving if isinstance(moving, NotFound) else self._solver.find(window, moving.motion)

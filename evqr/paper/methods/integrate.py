@@ -32,11 +32,12 @@ from typing import Any, Literal
 import numpy as np
 from numpy.typing import NDArray
 
+from evqr.clock import StageClock
 from evqr.config import MotionConfig
 from evqr.events.window import Window
+from evqr.motion import Motion
 from evqr.paper.methods.method import Outcome, Watch
-from evqr.search.motion_estimate import Motion, estimate_motion
-from evqr.solver import StageClock
+from evqr.search.motion_estimate import MotionEstimate, estimate_motion
 from evqr.workspace import Workspace
 from evqr_kernels.backend import get_backend
 
@@ -110,11 +111,12 @@ def read_window(
     cfg, clock = cfg or IntegrateConfig(), StageClock()
     if motion is None:
         with clock("motion"):
-            motion = estimate_motion(window, motion_cfg or MotionConfig(), workspace=workspace)
+            found = estimate_motion(window, motion_cfg or MotionConfig(), workspace=workspace)
+            motion = found.motion if isinstance(found, MotionEstimate) else None
     if motion is None or motion.speed <= 0.0:
         return IntegrateReading(None, None, clock.total())
     with clock("accumulate"):
-        slope = accumulate(window, motion.velocity, cfg, workspace=workspace)
+        slope = accumulate(window, motion, cfg, workspace=workspace)
     with clock("integrate"):
         luminance = integrate(slope, cfg.memory_px / cfg.cell_px)
     with clock("stretch"):
@@ -125,11 +127,10 @@ def read_window(
 
 
 def accumulate(
-    window: Window, velocity: NDArray[np.float64], cfg: IntegrateConfig, *, workspace: Workspace
+    window: Window, motion: Motion, cfg: IntegrateConfig, *, workspace: Workspace
 ) -> NDArray[np.float32]:
     """Motion-compensated image (Y, X) of a window, turned so that the motion is down the rows."""
-    speed = float(np.hypot(*velocity))
-    dx, dy = (velocity / speed).astype(np.float32)
+    dx, dy = motion.direction.astype(np.float32)
     turn = np.array([[dy, -dx], [dx, dy]])
     corners = turn @ np.array([[0, window.width, 0, window.width], [0, 0, window.height, window.height]])
     left, top = corners.min(axis=1).astype(np.float32)
@@ -139,7 +140,7 @@ def accumulate(
     x -= left
     y = dx * window.x
     y += dy * window.y
-    y -= np.float32(speed) * window.t
+    y -= np.float32(motion.speed) * window.t
     y -= top
     # less their mean: as many ON as OFF, because the scene did not become brighter
     weight = window.p - window.p.mean(dtype=np.float32) if len(window) else window.p

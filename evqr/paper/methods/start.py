@@ -23,6 +23,7 @@ from evqr.events.window import Window
 from evqr.fit.model import pose_table
 from evqr.paper.methods.event_image import event_image
 from evqr.paper.methods.pattern import SCALES_PX, STEP, Image, Pattern, along_rows, peaks_of, triples_of
+from evqr.symbol import qr
 from evqr.workspace import Workspace
 
 TILE_PX = 7
@@ -141,7 +142,7 @@ def agreement_of(
     image: Image, affine: NDArray[np.float64], motion: NDArray[np.float64], version: int
 ) -> float:
     """Correlation of E with -grad L . m at known modules and quiet zone; E is 0 beyond the image."""
-    table = pose_table(version, BLUR_MODULES, SAMPLES_A_MODULE)
+    table = pose_table(qr.space(version), BLUR_MODULES, SAMPLES_A_MODULE)
     x, y = np.rint(table.points @ affine[:, :2].T + affine[:, 2]).astype(np.intp).T
     inside = (x >= 0) & (y >= 0) & (x < image.shape[1]) & (y < image.shape[0])
     expected = -(table.table[:, -2:] @ np.linalg.solve(affine[:, :2], motion))

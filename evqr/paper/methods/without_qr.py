@@ -25,6 +25,7 @@ from evqr.config import MotionConfig
 from evqr.events.window import Window
 from evqr.paper.methods.event_image import event_image
 from evqr.paper.methods.method import Outcome, Watch
+from evqr.reason import Reason
 from evqr.search.motion_estimate import estimate_motion
 from evqr.workspace import Workspace
 from evqr_kernels.backend import get_backend
@@ -73,9 +74,9 @@ class WithoutQr:
         """Descend until it has converged, then on for as long as the watch wants to see more."""
         cfg = self.cfg
         guess = estimate_motion(seen, MotionConfig(), workspace=self._workspace)
-        if guess is None:
+        if isinstance(guess, Reason):
             return Outcome(converged=False)
-        motion = guess.velocity * seen.seconds
+        motion = guess.motion.displacement(1e6 * seen.seconds)
         luminance = np.zeros((seen.height, seen.width), np.float32)
         final: Image | None = None
         for iteration in range(1, cfg.max_iterations + 1):

@@ -5,6 +5,7 @@ import pytest
 
 from evqr import simulate
 from evqr.events.window import make_window
+from evqr.motion import Motion
 from evqr.paper.methods.descent import (
     DescentConfig,
     Problem,
@@ -17,6 +18,7 @@ from evqr_kernels.backend import get_backend
 
 VERSION = 1
 SPEED = np.array([3.0, 2.0])  # [px/ms]
+MOTION = Motion(1e3 * SPEED)
 MIDDLE_US = 2000
 
 
@@ -61,7 +63,7 @@ def shifted(pose, modules):
 
 
 def problem_of(window, pose, workspace, dtype=np.float64):
-    problem = Problem(window, 1e3 * SPEED, pose, VERSION, 0.8, workspace=workspace, dtype=dtype)
+    problem = Problem(window, MOTION, pose, VERSION, 0.8, workspace=workspace, dtype=dtype)
     problem.splat(problem.motion)
     return problem
 
@@ -143,8 +145,8 @@ def test_pose_comes_closer(window, pose, workspace):
 
 
 def test_reads_a_window(window, pose, workspace):
-    reading = read_window(window, 1e3 * SPEED, shifted(pose, 0.3), VERSION, workspace=workspace)
+    reading = read_window(window, MOTION, shifted(pose, 0.3), VERSION, workspace=workspace)
     assert reading.text == "GO DOWN"
     assert reading.q.shape == (21, 21)
     assert set(reading.compute_ms) == {"stage_one", "stage_two", "decode", "total"}
-    np.testing.assert_allclose(reading.velocity, 1e3 * SPEED, rtol=0.1)
+    np.testing.assert_allclose(reading.motion.velocity, 1e3 * SPEED, rtol=0.1)

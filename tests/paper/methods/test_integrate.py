@@ -5,8 +5,8 @@ import pytest
 
 from evqr import simulate
 from evqr.events.window import make_window
+from evqr.motion import Motion
 from evqr.paper.methods.integrate import IntegrateConfig, accumulate, integrate, read_window, stretch
-from evqr.search.motion_estimate import Motion
 from evqr.workspace import Workspace
 from evqr_kernels.backend import get_backend
 
@@ -23,8 +23,8 @@ def recording():
     return simulate.simulate("INTEGRATE", version=2, angle=20.0, direction=140.0, speed_px_ms=4.0, seed=1)
 
 
-def velocity_of(recording):
-    return recording.truth["truth"]["velocity"][0]
+def motion_of(recording):
+    return Motion(recording.truth["truth"]["velocity"][0])
 
 
 def window_of(recording, travel_px=4.0):
@@ -51,16 +51,16 @@ def test_integrating_forgets():
 
 def test_accumulating_keeps_every_event_inside_the_view(recording, workspace):
     window = window_of(recording)
-    cells = accumulate(window, velocity_of(recording), IntegrateConfig(), workspace=workspace)
+    cells = accumulate(window, motion_of(recording), IntegrateConfig(), workspace=workspace)
     # weights are polarities less their mean, and the blur adds up to 4 x 16
     assert abs(cells.sum()) < 1e-3 * np.abs(cells).sum()
     assert np.abs(cells).sum() <= 64.0 * 2.0 * len(window)
 
 
 def test_edges_add_up_only_at_the_true_motion(recording, workspace):
-    window, velocity = window_of(recording), velocity_of(recording)
-    right = accumulate(window, velocity, IntegrateConfig(), workspace=workspace).std()
-    wrong = accumulate(window, -velocity, IntegrateConfig(), workspace=workspace).std()
+    window, motion = window_of(recording), motion_of(recording)
+    right = accumulate(window, motion, IntegrateConfig(), workspace=workspace).std()
+    wrong = accumulate(window, Motion(-motion.velocity), IntegrateConfig(), workspace=workspace).std()
     assert right > 1.5 * wrong
 
 
@@ -75,7 +75,7 @@ def test_stretching_uses_the_whole_range_and_ignores_the_empty_part():
 
 @pytest.mark.parametrize("known", [True, False], ids=["motion known", "motion estimated"])
 def test_reads_a_window(recording, workspace, known):
-    motion = Motion(velocity_of(recording), 1.0) if known else None
+    motion = motion_of(recording) if known else None
     reading = read_window(window_of(recording), workspace=workspace, motion=motion)
     assert reading.text == "INTEGRATE"
     stages = {"accumulate", "integrate", "stretch", "decode", "total"} | (set() if known else {"motion"})
@@ -88,5 +88,5 @@ def test_reads_nothing_without_motion_or_code(recording, workspace):
     assert empty.text is None and empty.image is None
     lost = simulate.shuffled(events)
     window = make_window(lost, 0, 1000)
-    motion = Motion(velocity_of(recording), 1.0)
+    motion = motion_of(recording)
     assert read_window(window, workspace=workspace, motion=motion).text is None

@@ -5,20 +5,23 @@ import pytest
 from scenes import scene, window_of
 from steps import deposit, sharpen
 
-from evqr.config import StageOneConfig
+from evqr.config import AlignConfig
 from evqr.events.array import EventArray
 from evqr.events.window import Window
 from evqr.fit.model import QUIET_MODULES
 from evqr.fit.region import Region, region_around
 from evqr.geometry import module_px, outline
+from evqr.motion import Motion
+from evqr.symbol import qr
 
-CONFIG = StageOneConfig()
+CONFIG = AlignConfig()
 
 POSE = np.array([[4.0, -1.5, 80.0], [1.5, 4.0, 40.0], [0.0, 0.0, 1.0]])
 TILTED = POSE.copy()
 TILTED[2, :2] = (8e-4, -5e-4)
 
-AT_REST = np.zeros(2)
+AT_REST = Motion(np.zeros(2))
+SPACE = qr.space(2)
 
 
 def window_with(x, y, t, p, seconds=1e-3):
@@ -58,7 +61,7 @@ def test_module_size_is_that_of_the_module_in_the_middle(pose):
 @pytest.mark.parametrize("margin", [0.0, 4.0])
 @pytest.mark.parametrize("pose", [POSE, TILTED], ids=["affine", "tilted"])
 def test_a_region_holds_the_code_and_its_quiet_zone(pose, margin):
-    region = region_around(pose, 25, CONFIG, margin_px=margin)
+    region = region_around(pose, SPACE, CONFIG, margin_px=margin)
     corners = outline(pose, 25, QUIET_MODULES)
     far = np.array([region.x + region.width * region.cell, region.y + region.height * region.cell])
     assert (corners >= np.array([region.x, region.y]) + margin).all()
@@ -72,12 +75,11 @@ def test_cells_count_from_the_centre_of_the_first():
     np.testing.assert_allclose(region.from_px @ (13.75, 26.25, 1.0), [1.0, 2.0, 1.0])
 
 
-def shown(window, velocity, region, workspace, *lags_px):
+def shown(window, motion, region, workspace, *lags_px):
     """Images (N, height, width) of a window, one a pair of lags."""
-    cells = deposit(window, velocity, region, workspace=workspace)
-    return workspace.get(
-        sharpen(cells, velocity, region, list(lags_px or [(0.0, 0.0)]), workspace=workspace)
-    ).copy()
+    cells = deposit(window, motion, region, workspace=workspace).cells
+    images = sharpen(cells, motion, region, list(lags_px or [(0.0, 0.0)]), workspace=workspace)
+    return workspace.get(images.device).copy()
 
 
 def test_events_land_where_the_map_says(workspace):
@@ -103,8 +105,8 @@ def test_moving_events_meet_at_the_middle_of_the_window(workspace):
     region, velocity = Region(10.0, 20.0, 2.0, 48, 64), np.array([3000.0, -1000.0])
     t = np.array([-4e-4, -2e-4, 0.0, 2e-4, 4e-4])
     moving = window_with(60.0 + velocity[0] * t, 50.0 + velocity[1] * t, t, np.ones(5))
-    together = shown(moving, velocity, region, workspace)
-    alone = shown(window_with([60.0], [50.0], [0.0], [1.0]), velocity, region, workspace)
+    together = shown(moving, Motion(velocity), region, workspace)
+    alone = shown(window_with([60.0], [50.0], [0.0], [1.0]), AT_REST, region, workspace)
     np.testing.assert_allclose(together, 5.0 * alone, atol=1e-3)
 
 
@@ -118,10 +120,10 @@ def test_an_image_starts_from_nothing_each_time(workspace):
 
 def test_an_image_for_each_pair_of_lags_and_linear_in_both(workspace):
     made = scene()
-    velocity = made.truth["truth"]["velocity"][0]
+    motion = Motion(made.truth["truth"]["velocity"][0])
     pairs = ((0.0, 0.0), (1.0, 0.0), (0.0, 2.0), (0.5, 3.0))
     window, region = window_of(made), Region(90.0, 60.0, 2.3, 48, 64)
-    plain, on, off, both = shown(window, velocity, region, workspace, *pairs).astype(np.float64)
+    plain, on, off, both = shown(window, motion, region, workspace, *pairs).astype(np.float64)
     most = np.abs(plain).max()
     assert np.abs(on - plain).max() > 0.1 * most
     assert np.abs(off - plain).max() > 0.1 * most
@@ -136,21 +138,21 @@ def test_undoing_the_lag_moves_late_events_forward(direction, workspace):
     behind = -lag_px * np.log1p(-(np.arange(400) + 0.5) / 400)  # quantiles of the exponential
     x, y = np.array([70.0, 80.0])[:, None] - heading[:, None] * behind
     late = window_with(x, y, np.zeros(400), np.ones(400))
-    plain, sharp = shown(late, 1000.0 * heading, region, workspace, (0.0, 0.0), (lag_px, 0.0))
+    plain, sharp = shown(late, Motion(1000.0 * heading), region, workspace, (0.0, 0.0), (lag_px, 0.0))
     true = (region.from_px @ (70.0, 80.0, 1.0))[:2]
     assert (true - centre_of(plain)[0]) @ heading == pytest.approx(lag_px / 2.0, abs=0.05)
     np.testing.assert_allclose(centre_of(sharp)[0], true, atol=0.05)
     # another polarity's lag does nothing to them
-    other = shown(late, 1000.0 * heading, region, workspace, (0.0, lag_px))[0]
+    other = shown(late, Motion(1000.0 * heading), region, workspace, (0.0, lag_px))[0]
     np.testing.assert_allclose(other, plain, atol=1e-5)
 
 
 def test_far_events_change_nothing_inside(workspace):
     made = scene()
-    velocity = made.truth["truth"]["velocity"][0]
+    motion = Motion(made.truth["truth"]["velocity"][0])
     window, region = window_of(made), Region(120.0, 90.0, 2.0, 32, 32)
     near = window.keep((np.abs(window.x - 152.0) < 40.0) & (np.abs(window.y - 122.0) < 40.0))
     assert len(near) < 0.5 * len(window)
-    every, some = (shown(w, velocity, region, workspace)[0] for w in (window, near))
+    every, some = (shown(w, motion, region, workspace)[0] for w in (window, near))
     np.testing.assert_allclose(some, every, atol=1e-3)
     assert np.abs(every).max() > 1.0

@@ -87,7 +87,7 @@ def test_lattice_covers_symbol_and_quiet_zone_evenly(samples):
 @pytest.mark.parametrize("version", [1, 2, 7])
 @pytest.mark.parametrize("sigma", [0.36, 0.9])
 def test_last_columns_are_the_slopes_of_the_rendered_model(version, sigma):
-    table = pose_table(version, sigma, 2)
+    table = pose_table(qr.space(version), sigma, 2)
     few = some(table, 150)
     points, grid = table.points[few].astype(np.float64), known_only(version)
     for column, along in ((18, np.array([STEP, 0.0])), (19, np.array([0.0, STEP]))):
@@ -98,7 +98,7 @@ def test_last_columns_are_the_slopes_of_the_rendered_model(version, sigma):
 @pytest.mark.parametrize(("version", "sigma"), [(1, 0.36), (2, 0.36), (2, 0.9), (8, 0.5)])
 def test_the_other_columns_say_how_the_slopes_change_when_the_code_moves(version, sigma):
     """For a gain a, sum_k a . (L_uk, L_vk) d_k is the change of a . grad L at points that move by d."""
-    table = pose_table(version, sigma, 2)
+    table = pose_table(qr.space(version), sigma, 2)
     few = some(table, 120)
     points, grid = table.points[few].astype(np.float64), known_only(version)
     rows = table.table[few].astype(np.float64).reshape(len(few), MOMENTS)
@@ -123,7 +123,7 @@ def test_the_other_columns_say_how_the_slopes_change_when_the_code_moves(version
 @pytest.mark.parametrize("version", [1, 2, 7, 14])
 def test_points_are_those_whose_footprint_is_known(version):
     """All lattice points more than half a module from any unknown module, and no others."""
-    table, space = pose_table(version, 0.36, 2), qr.space(version)
+    table, space = pose_table(qr.space(version), 0.36, 2), qr.space(version)
     axis = lattice(space.size, 2)
     known = np.pad(space.known, QUIET_MODULES + 1, constant_values=True)
     reach = [np.floor(axis + d).astype(int) + QUIET_MODULES + 1 for d in (-0.49, 0.49)]
@@ -135,14 +135,14 @@ def test_points_are_those_whose_footprint_is_known(version):
 
 
 def test_gram_is_the_product_of_the_table_with_itself():
-    table = pose_table(3, 0.36, 2)
+    table = pose_table(qr.space(3), 0.36, 2)
     exact = table.table.astype(np.float64).T @ table.table.astype(np.float64)
     np.testing.assert_allclose(table.gram, exact, rtol=1e-4, atol=1e-4 * np.abs(exact).max())
 
 
 def test_tables_are_shared_and_closed_for_writing():
-    table = pose_table(2, 0.36, 2)
-    assert pose_table(2, 0.36, 2) is table
+    table = pose_table(qr.space(2), 0.36, 2)
+    assert pose_table(qr.space(2), 0.36, 2) is table
     for array in (table.points, table.table, table.gram):
         with pytest.raises(ValueError, match="read-only"):
             array[0] = 0.0

@@ -4,20 +4,21 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from scenes import at, corners, middle_us, moved, scene, window_of
+from scenes import at, corners, middle_us, motion_at, moved, scene, window_of
 
-from evqr.config import FinderConfig, StageOneConfig
+from evqr.config import AlignConfig, FinderConfig
 from evqr.search.finder import Hypothesis, find_hypotheses
 from evqr.search.screen import batches, screen
+from evqr.symbol import qr
 
-CONFIG = StageOneConfig()
+CONFIG = AlignConfig()
 
 
 def searched(made, workspace):
     """The pyramid of a search along the true motion, what it found, and the true pose."""
     truth = made.truth["truth"]
-    velocity = at(truth, "velocity", middle_us(made))
-    found = find_hypotheses(window_of(made), velocity, FinderConfig(), workspace=workspace)
+    motion = motion_at(truth, middle_us(made))
+    found = find_hypotheses(window_of(made), motion, FinderConfig(), workspace=workspace)
     return found.pyramid, found.hypotheses, at(truth, "H", middle_us(made))
 
 
@@ -34,7 +35,7 @@ def test_the_right_hypothesis_of_a_search_comes_first(version, module_px, preset
     pyramid, hypotheses, pose = searched(made, workspace)
     candidates, iterations = screen(hypotheses, pyramid, CONFIG, workspace=workspace)
     size = 17 + 4 * version
-    assert candidates[0].version == version
+    assert candidates[0].space.version == version
     assert modules_off(candidates[0], pose, size, module_px) < 0.6
     assert iterations > 0
 
@@ -43,7 +44,7 @@ def test_an_inverted_code_is_screened_alike(workspace):
     made = scene(invert=True)
     pyramid, hypotheses, pose = searched(made, workspace)
     candidates, _ = screen(hypotheses, pyramid, CONFIG, workspace=workspace)
-    assert candidates[0].version == 2
+    assert candidates[0].space.version == 2
     assert modules_off(candidates[0], pose, 25, 5.0) < 0.6
 
 
@@ -53,19 +54,19 @@ def test_without_a_clear_one_every_hypothesis_is_a_candidate_and_the_best_come_f
     candidates, _ = screen(hypotheses, pyramid, never, workspace=workspace)
     assert len(candidates) == len(hypotheses)
     assert (np.diff([c.score for c in candidates]) <= 0).all()
-    assert sorted(c.version for c in candidates) == sorted(h.version for h in hypotheses)
+    assert sorted(c.space.version for c in candidates) == sorted(h.space.version for h in hypotheses)
 
 
 def test_a_clear_triple_ends_the_screening_with_all_its_versions(workspace):
     pyramid, _, pose = searched(scene(), workspace)
-    right = Hypothesis(2, moved(pose, 25, shift=(0.3, 0.2)), 2.0, False, 0)
-    neighbour = Hypothesis(3, moved(pose, 25, scale=25 / 29), 2.0, False, 0)
-    wrong = Hypothesis(2, moved(pose, 25, turn_deg=90.0), 1.0, False, 1)
+    right = Hypothesis(qr.space(2), moved(pose, 25, shift=(0.3, 0.2)), 2.0, False, 0)
+    neighbour = Hypothesis(qr.space(3), moved(pose, 25, scale=25 / 29), 2.0, False, 0)
+    wrong = Hypothesis(qr.space(2), moved(pose, 25, turn_deg=90.0), 1.0, False, 1)
     candidates, _ = screen([neighbour, right, wrong], pyramid, CONFIG, workspace=workspace)
-    assert [c.version for c in candidates] == [2, 3]
+    assert [c.space.version for c in candidates] == [2, 3]
     assert candidates[0].score >= CONFIG.clear_score > candidates[1].score
     every, _ = screen([wrong, right, neighbour], pyramid, CONFIG, workspace=workspace)
-    assert [c.version for c in every if c.score >= CONFIG.clear_score] == [2]
+    assert [c.space.version for c in every if c.score >= CONFIG.clear_score] == [2]
     assert len(every) == 3
 
 
@@ -81,7 +82,7 @@ def test_a_clear_triple_ends_the_screening_with_all_its_versions(workspace):
     ],
 )
 def test_hypotheses_are_split_between_triples_only(triples, lengths):
-    hypotheses = [Hypothesis(2, np.eye(3), 1.0, False, int(triple)) for triple in triples]
+    hypotheses = [Hypothesis(qr.space(2), np.eye(3), 1.0, False, int(triple)) for triple in triples]
     found = batches(hypotheses, 4)
     assert [len(batch) for batch in found] == lengths
     assert [guess for batch in found for guess in batch] == hypotheses
@@ -91,10 +92,10 @@ def test_a_rough_pose_among_wrong_ones_is_refined_and_wins(workspace):
     pyramid, _, pose = searched(scene(), workspace)
     rough = moved(pose, 25, shift=(0.3, -0.4), turn_deg=3.0, scale=1.05)
     wrong = [moved(pose, 25, turn_deg=90.0), moved(pose, 25, shift=(6.0, 0.0)), moved(pose, 25, scale=0.7)]
-    hypotheses = [Hypothesis(2, p, 1.0, False) for p in (*wrong, rough)]
-    hypotheses.append(Hypothesis(3, moved(pose, 25, scale=25 / 29), 1.0, False))
+    hypotheses = [Hypothesis(qr.space(2), p, 1.0, False) for p in (*wrong, rough)]
+    hypotheses.append(Hypothesis(qr.space(3), moved(pose, 25, scale=25 / 29), 1.0, False))
     candidates, _ = screen(hypotheses, pyramid, CONFIG, workspace=workspace)
-    assert candidates[0].version == 2
+    assert candidates[0].space.version == 2
     assert modules_off(candidates[0], pose, 25, 5.0) < 0.6
 
 

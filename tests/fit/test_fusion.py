@@ -6,15 +6,16 @@ import pytest
 from scenes import middle_us, scene
 from steps import normal_equations
 
-from evqr.config import StageOneConfig, StageTwoConfig, Vote
+from evqr.config import AlignConfig, ModulesConfig, Vote
 from evqr.fit.align import align, fine_levels
-from evqr.fit.fusion import Tally
+from evqr.fit.fusion import Fusion
 from evqr.fit.modules import solve_modules
 from evqr.symbol import qr
+from evqr.workspace import Images
 
-ONE = StageOneConfig()
-CONFIG = StageTwoConfig()
-EXACT = StageTwoConfig(passes=1, damping_range=(0.1, 0.1), tolerance=1e-6, max_iterations=500)
+ONE = AlignConfig()
+CONFIG = ModulesConfig()
+EXACT = ModulesConfig(passes=1, damping_range=(0.1, 0.1), tolerance=1e-6, max_iterations=500)
 UNKNOWN = ~qr.space(2).known
 
 
@@ -26,7 +27,13 @@ def windows(workspace, see):
     for late in (-500, 0, 500):
         seen = see(made, middle=middle_us(made) + late)
         at_truth = align(
-            seen.image, seen.in_cells[None], 2, fine_levels(ONE), ONE, workspace=workspace, max_iterations=0
+            seen.image,
+            seen.in_cells[None],
+            seen.space,
+            fine_levels(ONE),
+            ONE,
+            workspace=workspace,
+            max_iterations=0,
         )
         found.append((seen, at_truth.gain[0]))
     return found
@@ -34,11 +41,11 @@ def windows(workspace, see):
 
 def equations(seen, gain, workspace, *, noise=0.0, rng=None):
     """Equations of a window with white noise on its image."""
-    image = workspace.get(seen.image)
+    image = workspace.get(seen.image.device)
     if noise:
         image = image + rng.normal(0.0, noise, image.shape).astype(np.float32)
     return normal_equations(
-        workspace.put(image), seen.in_cells, gain, 2, ONE.sigma, CONFIG, workspace=workspace
+        Images(workspace.put(image)), seen.in_cells, gain, seen.space, ONE.sigma, CONFIG, workspace=workspace
     )
 
 
@@ -52,29 +59,29 @@ def wrong(q, seen):
 
 def test_information_of_two_windows_is_the_dense_solution_of_both(windows, workspace):
     noise = (0.5, 2.0)
-    tally = Tally(Vote.INFORMATION, EXACT, workspace=workspace)
+    fusion = Fusion(Vote.INFORMATION, EXACT, workspace=workspace)
     systems = []
     for (seen, gain), variance in zip(windows[:2], noise, strict=True):
-        estimate = tally.add(equations(seen, gain, workspace), variance)
-        image = workspace.get(seen.image)[0]
+        estimate = fusion.add(equations(seen, gain, workspace), variance)
+        image = workspace.get(seen.image.device)[0]
         systems.append(
             (*dense.system(image, seen.in_cells, gain, 25, ONE.sigma, CONFIG.samples), 1.0 / variance)
         )
     space = qr.space(2)
     exact = dense.solve(systems, space.known, space.values, EXACT.damping_range[0])
     np.testing.assert_allclose(estimate.q, exact, atol=0.015)  # the tolerance of test_stage_two.py
-    assert tally.windows == 2
+    assert fusion.windows == 2
 
 
 def test_a_window_counts_by_one_over_its_noise(windows, workspace):
     """A worthless window with a huge variance changes nothing; with a small one it spoils all."""
     (seen, gain), (other, other_gain) = windows[0], windows[1]
     good, bad = equations(seen, gain, workspace), equations(other, -other_gain, workspace)
-    alone = Tally(Vote.INFORMATION, CONFIG, workspace=workspace).add(good, 1.0).q
+    alone = Fusion(Vote.INFORMATION, CONFIG, workspace=workspace).add(good, 1.0).q
     for variance, spoiled in ((1e9, False), (1e-9, True)):
-        tally = Tally(Vote.INFORMATION, CONFIG, workspace=workspace)
-        tally.add(good, 1.0)
-        q = tally.add(bad, variance).q
+        fusion = Fusion(Vote.INFORMATION, CONFIG, workspace=workspace)
+        fusion.add(good, 1.0)
+        q = fusion.add(bad, variance).q
         assert (np.abs(q - alone).max() > 0.5) == spoiled
 
 
@@ -86,9 +93,9 @@ def test_mode_is_the_majority_of_signs(windows, workspace):
     right = equations(seen, gain, workspace)
     wrong_sign = equations(seen, -gain, workspace)
     alone = [np.sign(solve_modules(e, CONFIG, workspace=workspace).q) for e in (right, wrong_sign)]
-    tally = Tally(Vote.MODE, CONFIG, workspace=workspace)
+    fusion = Fusion(Vote.MODE, CONFIG, workspace=workspace)
     for window in (right, wrong_sign, right):
-        estimate = tally.add(window, 1.0)
+        estimate = fusion.add(window, 1.0)
     np.testing.assert_array_equal(np.sign(estimate.q), alone[0])
     np.testing.assert_allclose(estimate.q[UNKNOWN], ((2 * alone[0] + alone[1]) / 3)[UNKNOWN], atol=1e-6)
 
@@ -97,9 +104,9 @@ def test_mode_does_not_care_how_sure_a_window_is(windows, workspace):
     seen, gain = windows[0]
     said = []
     for variance in (1.0, 1e-6):
-        tally = Tally(Vote.MODE, CONFIG, workspace=workspace)
-        tally.add(equations(*windows[1], workspace), 1.0)
-        said.append(tally.add(equations(seen, -gain, workspace), variance).q)
+        fusion = Fusion(Vote.MODE, CONFIG, workspace=workspace)
+        fusion.add(equations(*windows[1], workspace), 1.0)
+        said.append(fusion.add(equations(seen, -gain, workspace), variance).q)
     np.testing.assert_array_equal(*said)
 
 
@@ -109,9 +116,9 @@ def test_soft_weighs_windows_by_their_information(windows, workspace):
     bad = equations(seen, -gain, workspace)
     alone = solve_modules(good, CONFIG, workspace=workspace).q
     for variance, follows in ((1e6, True), (1e-6, False)):
-        tally = Tally(Vote.SOFT, CONFIG, workspace=workspace)
-        tally.add(good, 1.0)
-        q = tally.add(bad, variance).q
+        fusion = Fusion(Vote.SOFT, CONFIG, workspace=workspace)
+        fusion.add(good, 1.0)
+        q = fusion.add(bad, variance).q
         agree = np.mean(np.sign(q[UNKNOWN]) == np.sign(alone[UNKNOWN]))
         assert (agree > 0.99) == follows
 
@@ -119,9 +126,9 @@ def test_soft_weighs_windows_by_their_information(windows, workspace):
 def test_soft_of_equal_windows_is_each_of_them(windows, workspace):
     one = equations(*windows[0], workspace)
     alone = solve_modules(one.weighted(2.0), CONFIG, workspace=workspace).q
-    tally = Tally(Vote.SOFT, CONFIG, workspace=workspace)
+    fusion = Fusion(Vote.SOFT, CONFIG, workspace=workspace)
     for _ in range(3):
-        q = tally.add(one, 2.0).q
+        q = fusion.add(one, 2.0).q
     np.testing.assert_allclose(q / np.abs(q).max(), alone / np.abs(alone).max(), atol=1e-5)
 
 
@@ -131,23 +138,23 @@ def test_soft_of_equal_windows_is_each_of_them(windows, workspace):
 @pytest.mark.parametrize("vote", Vote)
 def test_one_clean_window_is_enough(vote, windows, workspace):
     seen, gain = windows[0]
-    tally = Tally(vote, CONFIG, workspace=workspace)
-    estimate = tally.add(equations(seen, gain, workspace), 1.0)
+    fusion = Fusion(vote, CONFIG, workspace=workspace)
+    estimate = fusion.add(equations(seen, gain, workspace), 1.0)
     assert wrong(estimate.q, seen) == 0.0
     assert estimate.q.shape == (25, 25)
     assert estimate.q.dtype == np.float32
-    assert tally.windows == 1
+    assert fusion.windows == 1
 
 
 @pytest.mark.parametrize("vote", Vote)
 def test_many_noisy_windows_beat_one(vote, windows, workspace):
     """Noise is set such that one window has about a tenth of its modules wrong."""
     rng = np.random.default_rng(4)
-    tally = Tally(vote, CONFIG, workspace=workspace)
+    fusion = Fusion(vote, CONFIG, workspace=workspace)
     share = []
     for k in range(15):
         seen, gain = windows[k % 3]
-        share.append(wrong(tally.add(equations(seen, gain, workspace, noise=14.0, rng=rng), 1.0).q, seen))
+        share.append(wrong(fusion.add(equations(seen, gain, workspace, noise=14.0, rng=rng), 1.0).q, seen))
     assert 0.03 < share[0] < 0.3
     assert share[-1] < 0.4 * share[0]
 
@@ -157,9 +164,9 @@ def test_information_is_at_least_as_good_as_the_other_votes(windows, workspace):
     for vote in Vote:
         rng = np.random.default_rng(9)
         for _ in range(4):
-            tally = Tally(vote, CONFIG, workspace=workspace)
+            fusion = Fusion(vote, CONFIG, workspace=workspace)
             for seen, gain in windows:
-                estimate = tally.add(equations(seen, gain, workspace, noise=14.0, rng=rng), 1.0)
+                estimate = fusion.add(equations(seen, gain, workspace, noise=14.0, rng=rng), 1.0)
             share[vote] += wrong(estimate.q, seen)
     assert share[Vote.INFORMATION] <= min(share.values()) + 0.01
 
@@ -168,9 +175,9 @@ def test_information_is_at_least_as_good_as_the_other_votes(windows, workspace):
 def test_the_strength_of_an_estimate_says_where_it_is_right(vote, windows, workspace):
     """What the decoder erases by: wrong modules are weaker than right ones."""
     rng = np.random.default_rng(2)
-    tally = Tally(vote, CONFIG, workspace=workspace)
+    fusion = Fusion(vote, CONFIG, workspace=workspace)
     for seen, gain in windows:
-        q = tally.add(equations(seen, gain, workspace, noise=14.0, rng=rng), 1.0).q
+        q = fusion.add(equations(seen, gain, workspace, noise=14.0, rng=rng), 1.0).q
     off = (q * seen.modules <= 0.0) & UNKNOWN
     assert off.any()
     assert np.abs(q[off]).mean() < 0.8 * np.abs(q[UNKNOWN & ~off]).mean()

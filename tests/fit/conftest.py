@@ -1,17 +1,19 @@
 """What tests of the later stages start from: the image around a code, at its true pose and motion."""
 
 from dataclasses import dataclass
-from typing import Any
 
 import numpy as np
 import pytest
-from scenes import at, corners, middle_us, window_of
+from scenes import at, corners, middle_us, motion_at, window_of
 from steps import deposit, sharpen
 
-from evqr.config import StageOneConfig
+from evqr.config import AlignConfig
 from evqr.events.window import Window
 from evqr.fit.region import Region, region_around
-from evqr.workspace import Workspace
+from evqr.motion import Motion
+from evqr.symbol import qr
+from evqr.symbol.space import CodeSpace
+from evqr.workspace import Images, Workspace
 from evqr_kernels.backend import get_backend
 
 
@@ -21,22 +23,22 @@ class Seen:
 
     Attributes
     ----------
-    version, size             of the code
+    space, size               of the code
     modules : (r, r)          truth, -1 dark, +1 light
     pose : (3, 3)             truth, code coordinates to px
-    velocity : (2,)           truth [px/s]
+    motion                    truth
     window                    of events, all of them
     region, image             around the code; the image is on the device
     """
 
-    version: int
+    space: CodeSpace
     modules: np.ndarray
     pose: np.ndarray
-    velocity: np.ndarray
+    motion: Motion
     module_px: float
     region: Region
     window: Window
-    image: Any
+    image: Images
 
     @property
     def size(self) -> int:
@@ -65,25 +67,26 @@ def workspace():
 def see(workspace):
     """Make what there is to see of a simulation, optionally at another time than its middle."""
 
-    def look(made, *, middle=None, travel_px=2.0, name="truth"):
-        cfg = StageOneConfig()
+    def seen(made, *, middle=None, travel_px=2.0, name="truth"):
+        cfg = AlignConfig()
         truth = made.truth[name]
         time = middle_us(made) if middle is None else middle
-        pose, velocity = at(truth, "H", time), at(truth, "velocity", time)
+        pose, motion = at(truth, "H", time), motion_at(truth, time)
+        space = qr.space(truth["version"])
         window = window_of(made, travel_px, middle=time)
-        region = region_around(pose, len(truth["modules"]), cfg, margin_px=4.0)
-        cells = deposit(window, velocity, region, workspace=workspace)
-        image = sharpen(cells, velocity, region, [(0.0, 0.0)], workspace=workspace)
+        region = region_around(pose, space, cfg, margin_px=4.0)
+        cells = deposit(window, motion, region, workspace=workspace).cells
+        image = sharpen(cells, motion, region, [(0.0, 0.0)], workspace=workspace)
         return Seen(
-            version=truth["version"],
+            space=space,
             modules=1.0 - 2.0 * truth["modules"],
             pose=pose,
-            velocity=velocity,
+            motion=motion,
             module_px=made.scene.codes[0].module_px,
             region=region,
             window=window,
             # a copy: two that are seen may be used side by side
-            image=workspace.put(workspace.get(image).copy()),
+            image=Images(workspace.put(workspace.get(image.device).copy())),
         )
 
-    return look
+    return seen

@@ -5,21 +5,28 @@ import pytest
 from scenes import scene
 from steps import deposit
 
-from evqr.config import StageOneConfig
+from evqr.config import ReadConfig
 from evqr.fit.align import align, fine_levels
 from evqr.fit.lag import estimate_lag
 from evqr.simulate import SensorConfig
 
-CONFIG = StageOneConfig()
+CONFIG = ReadConfig()
 
 
 def estimated(made, workspace, see):
     """What is seen, the alignment without lags, the lags [px], and the alignment with them."""
     seen = see(made)
-    without = align(seen.image, seen.in_cells[None], 2, fine_levels(CONFIG), CONFIG, workspace=workspace)
-    cells = deposit(seen.window, seen.velocity, seen.region, workspace=workspace)
+    without = align(
+        seen.image,
+        seen.in_cells[None],
+        seen.space,
+        fine_levels(CONFIG.align),
+        CONFIG.align,
+        workspace=workspace,
+    )
+    cells = deposit(seen.window, seen.motion, seen.region, workspace=workspace)
     lag_px, found = estimate_lag(
-        cells, seen.velocity, seen.region, without.pose[0], 2, CONFIG, workspace=workspace
+        cells, seen.motion, seen.region, without.pose[0], seen.space, CONFIG, workspace=workspace
     )
     return seen, without, np.array(lag_px), found
 

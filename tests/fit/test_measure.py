@@ -2,11 +2,12 @@
 
 import numpy as np
 import pytest
-from scenes import at, middle_us, scene, window_of
+from scenes import at, middle_us, motion_at, scene, window_of
 from steps import deposit, normal_equations, sharpen
 
 from evqr.config import ReadConfig
 from evqr.fit.align import align, fine_levels
+from evqr.fit.detection import Target
 from evqr.fit.image import depositing
 from evqr.fit.measure import Measure, measure
 from evqr.fit.model import QUIET_MODULES, lattice, profiles
@@ -17,20 +18,21 @@ from evqr.symbol.decode import decode_grid
 from evqr.symbol.decoded import Decoded
 
 CONFIG = ReadConfig()
+SPACE = qr.space(2)
 LAG_PX = (0.4, 0.7)
 DAMPING = 0.1
 
 
 def known(made, time):
-    """What following knows of a window: the window, velocity, region and pose in its cells, a little off."""
+    """What following knows of a window: the window, a target that is a little off, and its region."""
     truth = made.truth["truth"]
     window = window_of(made, 2.0, middle=time)
-    velocity = at(truth, "velocity", window.middle_us)
+    motion = motion_at(truth, window.middle_us)
     pose = at(truth, "H", window.middle_us)
-    region = region_around(pose, 25, CONFIG.stage_one)
+    region = region_around(pose, SPACE, CONFIG.align)
     off = np.eye(3)
     off[:2, 2] = 0.3, -0.2
-    return window, velocity, region, region.from_px @ (off @ pose)
+    return window, Target(SPACE, off @ pose, motion, motion.tau_us(LAG_PX)), region
 
 
 @pytest.fixture(scope="module")
@@ -43,8 +45,8 @@ def solving(step, equations, workspace):
 
     ``equations`` of an earlier window say how strong the damping is.
     """
-    cfg, samples, one = CONFIG.stage_two, CONFIG.stage_two.samples, CONFIG.stage_one
-    solution = Solution(2, cfg, workspace)
+    cfg, samples, one = CONFIG.modules, CONFIG.modules.samples, CONFIG.align
+    solution = Solution(SPACE, cfg, workspace)
     solution.write(equations)
     solution._damping.write(DAMPING * equations.stencil[REACH, REACH])
     profile, slope, _ = profiles((np.arange(SUPPORT * samples) + 0.5) / samples - SUPPORT // 2, one.sigma)
@@ -56,7 +58,7 @@ def solving(step, equations, workspace):
 
     def launch():
         workspace.backend.code_normal_equations(
-            step.sharpen.images, step.align.pose, axis, profile, slope, step.align.gain, samples, sampled,
+            step.images.device, step.align.pose, axis, profile, slope, step.align.gain, samples, sampled,
             rows, solution._stencil.device, solution._seen.device,
         )  # fmt: skip
         solution.launch_first()
@@ -65,27 +67,26 @@ def solving(step, equations, workspace):
 
 
 def assert_same(measured, found, equations):
-    np.testing.assert_array_equal(measured.found.pose, found.pose)
-    np.testing.assert_array_equal(measured.found.score, found.score)
+    np.testing.assert_array_equal(measured.alignment.pose, found.pose)
+    np.testing.assert_array_equal(measured.alignment.score, found.score)
     np.testing.assert_array_equal(measured.equations.rhs, equations.rhs)
     np.testing.assert_array_equal(measured.equations.stencil, equations.stencil)
 
 
 @pytest.mark.parametrize("from_events", [True, False])
 def test_it_is_the_stages_one_by_one(made, from_events, workspace):
-    window, velocity, region, pose = known(made, middle_us(made))
-    one = CONFIG.stage_one
-    cells = deposit(window, velocity, region, workspace=workspace)
-    image = sharpen(cells, velocity, region, [LAG_PX], workspace=workspace)
-    found = align(image, pose[None], 2, fine_levels(one), one, workspace=workspace)
+    window, target, region = known(made, middle_us(made))
+    motion, pose = target.motion, region.from_px @ target.pose
+    one = CONFIG.align
+    cells = deposit(window, motion, region, workspace=workspace).cells
+    image = sharpen(cells, motion, region, [target.lag_px], workspace=workspace)
+    found = align(image, pose[None], SPACE, fine_levels(one), one, workspace=workspace)
     equations = normal_equations(
-        image, found.pose[0], found.gain[0], 2, one.sigma, CONFIG.stage_two, workspace=workspace
+        image, found.pose[0], found.gain[0], SPACE, one.sigma, CONFIG.modules, workspace=workspace
     )
-    measured = measure(
-        window, velocity, region, pose, 2, LAG_PX, CONFIG, workspace=workspace, from_events=from_events
-    )
+    measured = measure(window, target, region, CONFIG, workspace=workspace, from_events=from_events)
     assert_same(measured, found, equations)
-    assert measured.found.score[0] > 0.8
+    assert measured.alignment.score[0] > 0.8
 
 
 def test_whole_windows_run_as_one_captured_graph(made, workspace):
@@ -93,26 +94,24 @@ def test_whole_windows_run_as_one_captured_graph(made, workspace):
     import warp as wp
 
     time = middle_us(made)
-    window, velocity, region, pose = known(made, time)
-    first = measure(window, velocity, region, pose, 2, LAG_PX, CONFIG, workspace=workspace)
-    events = depositing(window, velocity, region, workspace=workspace)
-    step = Measure(events, True, 2, CONFIG, workspace)
+    window, target, region = known(made, time)
+    first = measure(window, target, region, CONFIG, workspace=workspace)
+    events = depositing(window, target.motion, region, workspace=workspace)
+    step = Measure(events, True, SPACE, CONFIG, workspace)
     solution, solve = solving(step, first.equations, workspace)
     solve()  # loads what nothing else has used
     with wp.ScopedCapture(device=workspace.device) as capture:
         step.launch()
         solve()
     for moment in (time, time + 400.0):
-        window, velocity, region, pose = known(made, moment)
-        assert depositing(window, velocity, region, workspace=workspace) is events
-        step.sharpen.write(velocity, region, [LAG_PX])
-        step.align.write(pose[None], 0)
+        window, target, region = known(made, moment)
+        assert depositing(window, target.motion, region, workspace=workspace) is events
+        step.write(target, region)
         solution._q.write(solution._start)
         wp.capture_launch(capture.graph)
-        found = step.align.read()
-        equations = step.equations.read(found.gain[0])
-        again = measure(window, velocity, region, pose, 2, LAG_PX, CONFIG, workspace=workspace)
-        assert_same(again, found, equations)
-        outcome = decode_grid(solution.read(), qr.space(2))
+        found = step.read()
+        again = measure(window, target, region, CONFIG, workspace=workspace)
+        assert_same(again, found.alignment, found.equations)
+        outcome = decode_grid(solution.read(), SPACE)
         assert isinstance(outcome, Decoded)
         assert outcome.text == made.scene.codes[0].text

@@ -4,19 +4,20 @@ import functools
 
 import numpy as np
 import pytest
-from scenes import at, corners, middle_us, scene, transform, window_of
+from scenes import at, corners, middle_us, motion_at, scene, transform, window_of
 
 from evqr.config import FinderConfig
+from evqr.motion import Motion
 from evqr.search.finder import Match, find_hypotheses
 
 CONFIG = FinderConfig()
 
 
-def look(made, workspace):
+def searched(made, workspace):
     """Peaks and hypotheses along the true motion, and the true pose."""
     truth = made.truth["truth"]
-    velocity = at(truth, "velocity", middle_us(made))
-    found = find_hypotheses(window_of(made), velocity, CONFIG, workspace=workspace)
+    motion = motion_at(truth, middle_us(made))
+    found = find_hypotheses(window_of(made), motion, CONFIG, workspace=workspace)
     return found.peaks, found.hypotheses, at(truth, "H", middle_us(made)), found.pyramid
 
 
@@ -34,7 +35,7 @@ def of_finders(peaks, pose, size, module_px):
 def fits(hypothesis, truth, pose, module_px):
     """Whether a hypothesis is the true code, to 2.5 modules at the corners: the coarse look does the rest."""
     size = len(truth["modules"])
-    if hypothesis.version != truth["version"]:
+    if hypothesis.space.version != truth["version"]:
         return False
     return np.abs(corners(hypothesis.pose, size) - corners(pose, size)).max() < 2.5 * module_px
 
@@ -43,7 +44,7 @@ def fits(hypothesis, truth, pose, module_px):
 @pytest.mark.parametrize("preset", ["clean", "fast"])
 def test_three_finder_patterns_are_among_the_best_peaks(angle, preset, workspace):
     made = scene(angle=angle, preset=preset)
-    peaks, hypotheses, pose, _ = look(made, workspace)
+    peaks, hypotheses, pose, _ = searched(made, workspace)
     best = of_finders(peaks, pose, 25, 5.0)
     assert (best < 8).all()
     assert (peaks.response[best] > 0.5).all()
@@ -58,11 +59,11 @@ def test_pixels_that_lag_are_seen_through(workspace):
     """A little lag is undone before any is known."""
     made = scene(preset="hard", angle=0.0, direction=0.0, speed_px_ms=10.0, module_px=5.0, travel_px=30.0)
     truth, window = made.truth["truth"], window_of(made, 2.5)
-    velocity, pose = at(truth, "velocity", middle_us(made)), at(truth, "H", middle_us(made))
+    motion, pose = motion_at(truth, middle_us(made)), at(truth, "H", middle_us(made))
     centres = transform(pose, np.array([[3.5, 3.5], [21.5, 3.5], [3.5, 21.5]]))
 
     def strength(lag_px):
-        peaks = find_hypotheses(window, velocity, CONFIG, workspace=workspace, lag_px=lag_px).peaks
+        peaks = find_hypotheses(window, motion, CONFIG, workspace=workspace, lag_px=lag_px).peaks
         near = np.hypot(*(peaks.position[:, None] - centres).transpose(2, 0, 1)) < 5.0
         return np.where(near, peaks.response[:, None], 0.0).max(axis=0)
 
@@ -72,7 +73,7 @@ def test_pixels_that_lag_are_seen_through(workspace):
 
 def test_an_inverted_code_answers_with_the_other_sign(workspace):
     made = scene(invert=True)
-    peaks, hypotheses, pose, _ = look(made, workspace)
+    peaks, hypotheses, pose, _ = searched(made, workspace)
     best = of_finders(peaks, pose, 25, 5.0)
     assert (peaks.response[best] < -0.5).all()
     assert any(fits(h, made.truth["truth"], pose, 5.0) and h.inverted for h in hypotheses[:6])
@@ -81,22 +82,22 @@ def test_an_inverted_code_answers_with_the_other_sign(workspace):
 @pytest.mark.parametrize(("version", "module_px"), [(1, 6.0), (2, 5.0), (4, 4.0), (7, 4.0), (10, 3.5)])
 def test_the_true_version_and_pose_are_among_the_hypotheses(version, module_px, workspace):
     made = scene(version=version, module_px=module_px, angle=30.0, width=320, height=320)
-    _, hypotheses, pose, _ = look(made, workspace)
+    _, hypotheses, pose, _ = searched(made, workspace)
     assert any(fits(h, made.truth["truth"], pose, module_px) for h in hypotheses)
 
 
 @pytest.mark.parametrize("module_px", [3.5, 8.0])
 def test_small_and_large_modules(module_px, workspace):
     made = scene(version=1, module_px=module_px)
-    _, hypotheses, pose, _ = look(made, workspace)
+    _, hypotheses, pose, _ = searched(made, workspace)
     assert any(fits(h, made.truth["truth"], pose, module_px) for h in hypotheses)
 
 
 def test_results_are_in_order_and_within_their_limits(workspace):
-    peaks, hypotheses, _, pyramid = look(scene(), workspace)
+    peaks, hypotheses, _, pyramid = searched(scene(), workspace)
     strength = np.abs(peaks.response)
     assert (np.diff(strength) <= 0).all()
-    assert len(strength) <= CONFIG.looks[-1].peaks
+    assert len(strength) <= CONFIG.passes[-1].peaks
     assert (strength >= CONFIG.min_response).all()
     assert strength.max() <= 1.0 + 1e-3
     assert ((peaks.angle >= 0.0) & (peaks.angle < np.pi / 2)).all()
@@ -109,11 +110,11 @@ def test_pyramid_levels_show_the_same_place(workspace):
     made = scene()
     window = window_of(made)
     inside = (np.abs(window.x - 160) < 60) & (np.abs(window.y - 120) < 60)
-    velocity = at(made.truth["truth"], "velocity", middle_us(made))
-    found = find_hypotheses(window.keep((window.p > 0) & inside), velocity, CONFIG, workspace=workspace)
+    motion = motion_at(made.truth["truth"], middle_us(made))
+    found = find_hypotheses(window.keep((window.p > 0) & inside), motion, CONFIG, workspace=workspace)
     centres = []
     for level in found.pyramid:
-        image = workspace.get(level.image)[0].astype(np.float64)
+        image = workspace.get(level.image.device)[0].astype(np.float64)
         rows, columns = np.mgrid[: image.shape[0], : image.shape[1]]
         mean = np.array([(columns * image).sum(), (rows * image).sum(), image.sum()]) / image.sum()
         centres.append((np.linalg.inv(level.from_px) @ mean)[:2])
@@ -141,7 +142,7 @@ def matched(workspace, response, position, module_px, angle):
     peaks.push()
     match = Match(peaks, CONFIG, workspace)
     match.run()
-    return match.read(CONFIG.looks[-1].hypotheses)
+    return match.read(CONFIG.passes[-1].hypotheses)
 
 
 @pytest.mark.parametrize("version", [1, 2, 6, 13, 25, 40])
@@ -151,12 +152,12 @@ def test_three_ideal_peaks_make_the_code(version, angle, workspace):
     response, angles = np.array([0.9, 0.8, 0.7]), np.full(3, np.deg2rad(angle % 90))
     hypotheses = matched(workspace, response, position, np.full(3, 4.0), angles)
     # large versions differ by less than the tolerance of a pattern's size
-    (right,) = [h for h in hypotheses if h.version == version]
+    (right,) = [h for h in hypotheses if h.space.version == version]
     np.testing.assert_allclose(right.pose[:2, :2], axes, atol=1e-5)
     np.testing.assert_allclose(right.pose @ (3.5, 3.5, 1.0), [*position[0], 1.0], atol=1e-5)
     assert right.response == pytest.approx(2.4)
     assert np.linalg.det(right.pose[:2, :2]) > 0
-    assert hypotheses[0].version == version
+    assert hypotheses[0].space.version == version
 
 
 @pytest.mark.parametrize(
@@ -191,5 +192,5 @@ def test_an_empty_window_has_no_peaks(workspace):
     made = scene()
     window = window_of(made)
     empty = window.keep(np.zeros(len(window), bool))
-    found = find_hypotheses(empty, np.array([1000.0, 500.0]), CONFIG, workspace=workspace)
+    found = find_hypotheses(empty, Motion(np.array([1000.0, 500.0])), CONFIG, workspace=workspace)
     assert len(found.peaks) == len(found.hypotheses) == 0

@@ -8,14 +8,15 @@ import pytest
 from scenes import scene
 from steps import normal_equations
 
-from evqr.config import StageOneConfig, StageTwoConfig
+from evqr.config import AlignConfig, ModulesConfig
 from evqr.fit.align import align, fine_levels
 from evqr.fit.modules import NormalEquations, solve_modules
 from evqr.symbol import qr
+from evqr.workspace import Images
 
-ONE = StageOneConfig()
-CONFIG = StageTwoConfig()
-EXACT = StageTwoConfig(passes=1, damping_range=(0.1, 0.1), tolerance=1e-6, max_iterations=500)
+ONE = AlignConfig()
+CONFIG = ModulesConfig()
+EXACT = ModulesConfig(passes=1, damping_range=(0.1, 0.1), tolerance=1e-6, max_iterations=500)
 
 TOLERANCE = 0.01
 """Relative to the strongest module.  The stencil ends two modules away; the entries left out are 1e-4."""
@@ -26,7 +27,7 @@ def gain_of(seen, workspace):
     at_truth = align(
         seen.image,
         seen.in_cells[None],
-        seen.version,
+        seen.space,
         fine_levels(ONE),
         ONE,
         workspace=workspace,
@@ -40,7 +41,7 @@ def equations_of(seen, workspace, *, cfg=CONFIG, image=None, gain=None):
         seen.image if image is None else image,
         seen.in_cells,
         gain_of(seen, workspace) if gain is None else gain,
-        seen.version,
+        seen.space,
         ONE.sigma,
         cfg,
         workspace=workspace,
@@ -55,7 +56,7 @@ def random_window(version, seed, workspace):
     c, s = scale * np.cos(turn), scale * np.sin(turn)
     half = (17 + 4 * version) / 2
     pose = np.array([[c, -s, 48 - (c - s) * half], [s, c, 40 - (s + c) * half], [2e-4, -1e-4, 1.0]])
-    return workspace.put(image), image[0], pose, rng.normal(0.0, 1.0, 2)
+    return Images(workspace.put(image)), image[0], pose, rng.normal(0.0, 1.0, 2)
 
 
 # ---- against the dense solution
@@ -68,7 +69,7 @@ def test_equals_the_dense_solution_for_any_image_pose_and_gain(version, samples,
     space = qr.space(version)
     for seed in range(3):
         on_device, image, pose, gain = random_window(version, seed, workspace)
-        equations = normal_equations(on_device, pose, gain, version, ONE.sigma, cfg, workspace=workspace)
+        equations = normal_equations(on_device, pose, gain, space, ONE.sigma, cfg, workspace=workspace)
         found = solve_modules(equations, cfg, workspace=workspace).q
         matrix, vector = dense.system(image, pose, gain, space.size, ONE.sigma, samples)
         exact = dense.solve([(matrix, vector, 1.0)], space.known, space.values, cfg.damping_range[0])
@@ -77,7 +78,7 @@ def test_equals_the_dense_solution_for_any_image_pose_and_gain(version, samples,
 
 def test_the_right_hand_side_is_that_of_the_dense_system(workspace):
     on_device, image, pose, gain = random_window(1, 7, workspace)
-    equations = normal_equations(on_device, pose, gain, 1, ONE.sigma, CONFIG, workspace=workspace)
+    equations = normal_equations(on_device, pose, gain, qr.space(1), ONE.sigma, CONFIG, workspace=workspace)
     matrix, vector = dense.system(image, pose, gain, 21, ONE.sigma, CONFIG.samples)
     exact = (matrix.T @ vector).reshape(21, 21)
     inner = slice(dense.QUIET, -dense.QUIET)
@@ -87,7 +88,7 @@ def test_the_right_hand_side_is_that_of_the_dense_system(workspace):
 
 def test_the_stencil_is_a_row_of_the_dense_matrix(workspace):
     on_device, image, pose, gain = random_window(1, 8, workspace)
-    equations = normal_equations(on_device, pose, gain, 1, ONE.sigma, CONFIG, workspace=workspace)
+    equations = normal_equations(on_device, pose, gain, qr.space(1), ONE.sigma, CONFIG, workspace=workspace)
     matrix, _ = dense.system(image, pose, gain, 21, ONE.sigma, CONFIG.samples)
     row = (matrix.T @ matrix)[10 * 21 + 10].reshape(21, 21)
     np.testing.assert_allclose(equations.stencil, row[8:13, 8:13], atol=1e-4 * row.max())
@@ -125,7 +126,7 @@ def test_modules_are_right_at_the_true_pose(options, wrong, workspace, see):
     """At 0 degrees edges along the motion give no event: those modules follow from their neighbours."""
     seen = see(scene(**options))
     q = solve_modules(equations_of(seen, workspace), CONFIG, workspace=workspace).q
-    unknown = ~qr.space(seen.version).known
+    unknown = ~seen.space.known
     assert np.mean((q * seen.modules < 0.0)[unknown]) <= wrong
     assert 0.5 < np.median(np.abs(q[unknown])) < 1.5
 
@@ -141,12 +142,12 @@ def test_known_modules_keep_their_values(workspace, see):
 
 def test_without_events_the_unknown_modules_are_grey(workspace, see):
     seen = see(scene())
-    empty = workspace.put(np.zeros_like(workspace.get(seen.image)))
+    empty = Images(workspace.put(np.zeros_like(workspace.get(seen.image.device))))
     strong = normal_equations(
-        empty, seen.in_cells, np.array([1e-6, 0.0]), 2, ONE.sigma, CONFIG, workspace=workspace
+        empty, seen.in_cells, np.array([1e-6, 0.0]), seen.space, ONE.sigma, CONFIG, workspace=workspace
     )
     estimate = solve_modules(
-        NormalEquations(2, 0 * strong.stencil, 0 * strong.rhs), CONFIG, workspace=workspace
+        NormalEquations(seen.space, 0 * strong.stencil, 0 * strong.rhs), CONFIG, workspace=workspace
     )
     np.testing.assert_allclose(estimate.q[~qr.space(2).known], 0.0, atol=1e-4)
 
@@ -160,7 +161,7 @@ def test_contrast_does_not_matter(workspace, see):
     gain = gain_of(seen, workspace)
     plain = solve_modules(equations_of(seen, workspace, gain=gain), CONFIG, workspace=workspace).q
     for factor in (1e-3, 0.3, 40.0):
-        image = workspace.put(np.float32(factor) * workspace.get(seen.image))
+        image = Images(workspace.put(np.float32(factor) * workspace.get(seen.image.device)))
         other = equations_of(seen, workspace, image=image, gain=factor * gain).weighted(factor**2)
         np.testing.assert_allclose(solve_modules(other, CONFIG, workspace=workspace).q, plain, atol=1e-3)
 
@@ -197,7 +198,7 @@ def _row_of_runs():
     product = np.sum(
         [stencil[k, m] * padded[k : k + 31, m : m + 31] for k in range(5) for m in range(5)], axis=0
     )
-    return NormalEquations(2, stencil, -product), modules
+    return NormalEquations(space, stencil, -product), modules
 
 
 def test_a_later_pass_finds_the_inside_of_a_long_dark_run(workspace):
@@ -226,7 +227,7 @@ def test_one_pass_is_enough_where_all_modules_are_clear(workspace, see):
 def test_polarity_and_gain_of_the_other_sign_are_the_same_print(workspace, see):
     seen = see(scene())
     gain = gain_of(seen, workspace)
-    negative = workspace.put(-workspace.get(seen.image))
+    negative = Images(workspace.put(-workspace.get(seen.image.device)))
     one, two = (
         solve_modules(equations, CONFIG, workspace=workspace).q
         for equations in (
@@ -244,11 +245,13 @@ def test_equations_add(workspace):
     parts = []
     for seed in (1, 2):
         on_device, _, pose, gain = random_window(1, seed, workspace)
-        parts.append(normal_equations(on_device, pose, gain, 1, ONE.sigma, CONFIG, workspace=workspace))
+        parts.append(
+            normal_equations(on_device, pose, gain, qr.space(1), ONE.sigma, CONFIG, workspace=workspace)
+        )
     total = parts[0] + parts[1]
     np.testing.assert_array_equal(total.rhs, parts[0].rhs + parts[1].rhs)
     np.testing.assert_array_equal(total.stencil, parts[0].stencil + parts[1].stencil)
-    assert total.version == 1
+    assert total.space is qr.space(1)
 
 
 def test_a_later_window_leaves_earlier_equations_alone(workspace, see):
@@ -271,4 +274,4 @@ def test_a_later_window_leaves_earlier_equations_alone(workspace, see):
 )
 def test_settings_that_mean_nothing_are_refused(wrong):
     with pytest.raises(ValueError, match=next(iter(wrong))):
-        StageTwoConfig(**wrong)
+        ModulesConfig(**wrong)

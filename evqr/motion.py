@@ -1,0 +1,174 @@
+"""How things move in the image: the only place that knows.
+
+A motion is a field of velocities that holds for a while: the same everywhere,
+
+    v = m                          2 parameters: m_x, m_y
+    v(p) = m + A (p - c)           6 parameters: m_x, m_y, A_xx, A_xy, A_yx, A_yy
+
+in the order of `evqr_kernels.splat_events`, where c is the middle of the image.  What is seen at p, a time t
+after the reference, was at ``p - t v(p)`` then: that is how events are transported, and poses are advanced by
+its inverse.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, replace
+from functools import cached_property
+from typing import Any
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from evqr.values import Value, read_only
+
+SHORTEST_WINDOW_US = 20.0
+"""Windows are never shorter, however fast something moves: time stamps are microseconds [us]."""
+
+SLOWEST_PX_PER_S = 1e-9
+"""Speed that stands in for none where one divides by it [px/s]."""
+
+
+@dataclass(frozen=True, eq=False)
+class Motion(Value):
+    """A motion in the image, and the time that it is of.
+
+    Attributes
+    ----------
+    parameters : (2,) or (6,) float64 [px/s, 1/s]
+        The velocity (m_x, m_y), the same everywhere; or m and A as in the formula above.
+    time_us : float [us]
+        Reference time.
+    about : (float, float) [px]
+        The point c at which the velocity is m; says nothing of a motion that is the same everywhere.
+
+    Raises
+    ------
+    ValueError
+        If there are neither 2 nor 6 parameters, or one is not finite.
+    """
+
+    parameters: NDArray[np.float64]
+    time_us: float = 0.0
+    about: tuple[float, float] = (0.0, 0.0)
+
+    def __post_init__(self) -> None:
+        parameters = read_only(self.parameters)
+        if parameters.shape not in ((2,), (6,)):
+            raise ValueError(f"parameters must have shape (2,) or (6,), got {parameters.shape}")
+        if not all(map(math.isfinite, parameters.tolist())):
+            raise ValueError(f"parameters must be finite, got {parameters.tolist()}")
+        object.__setattr__(self, "parameters", parameters)
+        # so that motions that are the same compare equal
+        object.__setattr__(self, "time_us", float(self.time_us))
+        if len(parameters) == 2 and self.about != (0.0, 0.0):
+            object.__setattr__(self, "about", (0.0, 0.0))
+
+    @property
+    def uniform(self) -> bool:
+        """Whether the velocity is the same everywhere."""
+        return len(self.parameters) == 2
+
+    @property
+    def velocity(self) -> NDArray[np.float64]:
+        """Velocity (2,), that at ``about`` where it is not the same everywhere [px/s]."""
+        return self.parameters[:2]
+
+    @cached_property
+    def speed(self) -> float:
+        """Length of the velocity [px/s]."""
+        return math.hypot(*self.velocity.tolist())
+
+    @property
+    def direction(self) -> NDArray[np.float64]:
+        """The velocity (2,), divided by its length; 0 where nothing moves."""
+        return self.velocity / max(self.speed, SLOWEST_PX_PER_S)
+
+    @property
+    def slope(self) -> NDArray[np.float64]:
+        """A (2, 2): how the velocity changes with the position [1/s]."""
+        return np.zeros((2, 2)) if self.uniform else self.parameters[2:].reshape(2, 2)
+
+    def velocity_at(self, point: ArrayLike) -> NDArray[np.float64]:
+        """Give the velocity at a point (2,), or at points (..., 2) [px] -> [px/s]."""
+        if self.uniform:
+            return np.broadcast_to(self.parameters, np.shape(point))
+        return self.velocity + (np.asarray(point) - self.about) @ self.slope.T
+
+    def transport(
+        self, x: NDArray[Any], y: NDArray[Any], t: NDArray[Any]
+    ) -> tuple[NDArray[Any], NDArray[Any]]:
+        """Bring events to the reference time.
+
+        Parameters
+        ----------
+        x, y : (E,) float [px]
+            Where they are seen.
+        t : (E,) float [s]
+            When, after the reference time.
+
+        Returns
+        -------
+        x, y : (E,) float [px]
+            Where what caused them was at the reference time, in the dtype of the input.
+        """
+        m_x, m_y = (x.dtype.type(m) for m in self.velocity.tolist())
+        if self.uniform:
+            return x - t * m_x, y - t * m_y
+        (a_xx, a_xy), (a_yx, a_yy) = self.slope.astype(x.dtype)
+        c_x, c_y = (x.dtype.type(c) for c in self.about)
+        dx, dy = x - c_x, y - c_y
+        return x - t * (m_x + a_xx * dx + a_xy * dy), y - t * (m_y + a_yx * dx + a_yy * dy)
+
+    def advance(self, pose: NDArray[np.float64], time_us: float) -> NDArray[np.float64]:
+        """Give a pose (3, 3) of the reference time at another time."""
+        seconds = (time_us - self.time_us) * 1e-6
+        ahead = np.eye(3)
+        if self.uniform:
+            ahead[:2, 2] = self.parameters * seconds
+        else:  # p = p0 + t (m + A (p - c)), solved for p
+            grown = np.linalg.inv(np.eye(2) - seconds * self.slope)
+            ahead[:2, :2] = grown
+            ahead[:2, 2] = grown @ (seconds * (self.velocity - self.slope @ self.about))
+        return ahead @ pose
+
+    def at(self, time_us: float) -> Motion:
+        """Give the same motion with another reference time: it is taken to hold until then."""
+        return self if time_us == self.time_us else replace(self, time_us=time_us)
+
+    def turned(self, angle: float) -> Motion:
+        """Give the motion with all velocities turned by an angle, from x to y [rad]."""
+        if angle == 0.0:
+            return self
+        cos, sin = math.cos(angle), math.sin(angle)
+        turn = np.array([[cos, -sin], [sin, cos]])
+        parameters = turn @ self.velocity
+        if not self.uniform:
+            parameters = np.concatenate([parameters, (turn @ self.slope).ravel()])
+        return replace(self, parameters=parameters)
+
+    def lag_px(self, tau_us: tuple[float, float]) -> tuple[float, float]:
+        """Give how far pixels with these time constants lag along the motion, for ON and OFF events [px]."""
+        per_us = self.speed * 1e-6
+        return tau_us[0] * per_us, tau_us[1] * per_us
+
+    def tau_us(self, lag_px: tuple[float, float]) -> tuple[float, float]:
+        """Give the time constants of pixels that lag so far along the motion, for ON and OFF events [us]."""
+        per_us = max(self.speed, SLOWEST_PX_PER_S) * 1e-6
+        return lag_px[0] / per_us, lag_px[1] / per_us
+
+    def displacement(self, duration_us: float) -> NDArray[np.float64]:
+        """Give the way (2,) that things go in a time [us] -> [px]."""
+        return self.velocity * (duration_us * 1e-6)
+
+    def travel_px(self, duration_us: float) -> float:
+        """Give how far things travel in a time [us] -> [px]."""
+        return self.speed * duration_us * 1e-6
+
+    def travel_time_us(self, travel_px: float) -> float:
+        """Give the time in which things travel so far, very long where nothing moves [px] -> [us]."""
+        return travel_px / max(self.speed, SLOWEST_PX_PER_S) * 1e6
+
+    def window_us(self, travel_px: float, *, longest_us: float) -> int:
+        """Give the length of a window in which things travel so far, within bounds [px] -> [us]."""
+        return int(min(max(self.travel_time_us(travel_px), SHORTEST_WINDOW_US), longest_us))
