@@ -15,6 +15,7 @@ from evqr.cli.options import (
     OK,
     LagType,
     SizeType,
+    VersionType,
     backend_options,
     examples,
     note,
@@ -236,8 +237,9 @@ def info(recording: Path, as_json: bool, opening: RecordingOptions) -> int:
     help="What the code says.  Given several times: as many codes, one behind the other.",
 )
 @click.option(
-    "--version", type=click.IntRange(1, 40), metavar="1-40", help="Default: the smallest that fits."
+    "--symbology", default="QRCode", show_default=True, help="Or MicroQRCode; in any case, as microqr."
 )
+@click.option("--version", type=VersionType(), metavar="1-40|M1-M4", help="Default: the smallest that fits.")
 @click.option(
     "--ec", type=click.Choice(["L", "M", "Q", "H"]), default="M", show_default=True, help="Error correction."
 )
@@ -271,7 +273,8 @@ def info(recording: Path, as_json: bool, opening: RecordingOptions) -> int:
 def simulate(
     output: Path,
     text: tuple[str, ...],
-    version: int | None,
+    symbology: str,
+    version: int | str | None,
     ec: Any,
     mask: int | None,
     angle: float,
@@ -299,6 +302,7 @@ def simulate(
         note(COMPILING)
     made = run_simulation(
         text,
+        symbology=symbology,
         version=version,
         ec=ec,
         mask=mask,

@@ -42,6 +42,21 @@ class SizeType(click.ParamType):
         return size
 
 
+class VersionType(click.ParamType):
+    """``1`` to ``40``, or text as ``M2``, in any case."""
+
+    name = "version"
+
+    def convert(self, value: Any, param: click.Parameter | None, ctx: click.Context | None) -> int | str:
+        """Return a number or text of the table of symbols."""
+        from evqr.symbol.symbols import SYMBOLS
+
+        names = {str(version).lower(): version for symbol in SYMBOLS.values() for version in symbol.sizes}
+        if str(value).lower() not in names:
+            self.fail(f"{value!r} is no version; write 1 to 40, or M1 to M4 for Micro QR codes", param, ctx)
+        return names[str(value).lower()]
+
+
 class LagType(click.ParamType):
     """``ON,OFF`` in microseconds."""
 

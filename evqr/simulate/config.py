@@ -9,8 +9,13 @@ from types import MappingProxyType
 from typing import Literal
 
 from evqr.errors import UsageError
+from evqr.symbol.space import Symbology, Version
+from evqr.symbol.symbols import SYMBOLS
 
 EcLevel = Literal["L", "M", "Q", "H"]
+
+#: What can be printed, with the number of masks.
+MASKS: Mapping[Symbology, int] = MappingProxyType({Symbology.QR_CODE: 8, Symbology.MICRO_QR_CODE: 4})
 
 
 def _require(ok: bool, name: str, value: object, wanted: str) -> None:
@@ -25,9 +30,10 @@ class CodePlacement:
     Attributes
     ----------
     text        payload, not empty
-    version     1 to 40; None: the smallest that holds the text
-    ec          error correction level "L", "M", "Q" or "H"
-    mask        0 to 7; None: chosen as the standard says
+    symbology   "QRCode" or "MicroQRCode", in any case
+    version     1 to 40, or M1 to M4; None: the smallest that holds the text
+    ec          error correction level "L", "M", "Q" or "H"; M1 has none
+    mask        0 to 7, or 0 to 3; None: chosen as the standard says
     module_px   width of a module [px], 1 to 100
     angle       of the code's u axis against the image's x axis, towards +y [deg]
     offset_px   of the code's centre from the object's centre: along the travel, across it [px]
@@ -35,7 +41,8 @@ class CodePlacement:
     """
 
     text: str
-    version: int | None = None
+    symbology: Symbology | str = Symbology.QR_CODE
+    version: Version | None = None
     ec: EcLevel = "M"
     mask: int | None = None
     module_px: float = 6.0
@@ -46,8 +53,16 @@ class CodePlacement:
     def __post_init__(self):
         _require(bool(self.text), "text", self.text, "at least one character")
         _require(self.ec in ("L", "M", "Q", "H"), "ec", self.ec, "one of L, M, Q, H")
-        _require(self.version is None or 1 <= self.version <= 40, "version", self.version, "1 to 40")
-        _require(self.mask is None or 0 <= self.mask <= 7, "mask", self.mask, "0 to 7")
+        try:
+            symbology = Symbology.parse(self.symbology)
+        except ValueError as error:
+            raise UsageError(f"simulate: {error}") from None
+        _require(symbology in MASKS, "symbology", symbology.value, f"one of {', '.join(MASKS)}")
+        object.__setattr__(self, "symbology", symbology)
+        versions, masks = list(SYMBOLS[symbology].sizes), MASKS[symbology]
+        wanted = f"{versions[0]} to {versions[-1]}"
+        _require(self.version is None or self.version in versions, "version", self.version, wanted)
+        _require(self.mask is None or 0 <= self.mask < masks, "mask", self.mask, f"0 to {masks - 1}")
         _require(1.0 <= self.module_px <= 100.0, "module_px", self.module_px, "1 to 100 px")
         _require(math.isfinite(self.angle), "angle", self.angle, "a finite number of degrees")
 

@@ -20,7 +20,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from evqr.errors import UsageError
 from evqr.simulate.config import CodePlacement, SceneConfig
-from evqr.simulate.printed import QUIET_MODULES, Symbol, make_symbol
+from evqr.simulate.printed import Symbol, make_symbol
 
 #: Travel of a recording whose duration is left open [px].
 DEFAULT_TRAVEL_PX = 40.0
@@ -55,15 +55,15 @@ def plane_to_image(scene: SceneConfig) -> Matrix:
 
 def code_corners(symbol: Symbol, margin: float = 0.0) -> NDArray[np.float64]:
     """(4, 2) outer corners of a code in its own frame, ``margin`` modules outside of it [modules]."""
-    low, high = -margin, len(symbol.modules) + margin
-    return np.array([[low, low], [high, low], [high, high], [low, high]])
+    low, right, bottom = -margin, symbol.space.columns + margin, symbol.space.rows + margin
+    return np.array([[low, low], [right, low], [right, bottom], [low, bottom]])
 
 
 def code_to_object(symbol: Symbol, direction: float) -> Matrix:
     """Homography from modules to the frame of an object that travels in ``direction`` [deg]."""
     p = symbol.placement
     turned = similarity(p.angle - direction, p.module_px, np.zeros(2))
-    centre = np.full(2, len(symbol.modules) / 2)
+    centre = np.array([symbol.space.columns, symbol.space.rows]) / 2
     turned[:2, 2] = np.asarray(p.offset_px) - turned[:2, :2] @ centre
     return turned
 
@@ -76,7 +76,9 @@ def in_a_row(placements: Sequence[CodePlacement], direction: float) -> list[Code
     lengths = []
     for placement in placements:
         symbol = make_symbol(replace(placement, offset_px=(0.0, 0.0)))
-        corners = transform(code_to_object(symbol, direction), code_corners(symbol, QUIET_MODULES + 1))
+        corners = transform(
+            code_to_object(symbol, direction), code_corners(symbol, symbol.space.quiet_zone + 1)
+        )
         lengths.append(float(np.ptp(corners[:, 0])))
     ends = sum(lengths) / 2 - np.cumsum([0.0, *lengths])
     middles = (ends[:-1] + ends[1:]) / 2
@@ -133,7 +135,7 @@ def plan_motion(scene: SceneConfig, symbols: list[Symbol]) -> Motion:
         if (extent > sensor).any():
             most = symbol.placement.module_px * (sensor / extent).min()
             raise UsageError(
-                f"simulate: version {symbol.version} at {symbol.placement.module_px:g} px a module takes "
+                f"simulate: {symbol.space} at {symbol.placement.module_px:g} px a module takes "
                 f"{extent[0]:.0f}x{extent[1]:.0f} px at this angle, more than the sensor's "
                 f"{scene.width}x{scene.height}; take module_px below {most:.1f} or a lower version"
             )

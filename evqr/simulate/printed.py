@@ -10,49 +10,54 @@ from numpy.typing import NDArray
 
 from evqr.errors import UsageError
 from evqr.simulate.config import CodePlacement
-
-#: Width of the light margin that the standard asks for [modules].
-QUIET_MODULES = 4
+from evqr.symbol.space import CodeSpace, Symbology
+from evqr.symbol.symbols import space_of
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Symbol:
-    """A QR code and where it is printed.
+    """A code and where it is printed.
 
     Attributes
     ----------
     placement : CodePlacement
-    version, ec_level, mask
-    modules : (n, n) uint8    1 = dark; of the symbol, not of an inverted print
+        Text, place and print.
+    space : CodeSpace
+        Kind and size of the symbol.
+    ec_level : str, optional
+        Level of error correction; None where there are none.
+    mask : int, optional
+        Number of the mask; None where there are none.
+    modules : (V, U) uint8
+        1 dark; of the symbol, not of an inverted print.
     """
 
     placement: CodePlacement
-    version: int
-    ec_level: str
-    mask: int
+    space: CodeSpace
+    ec_level: str | None
+    mask: int | None
     modules: NDArray[np.uint8]
-
-    @property
-    def size_px(self) -> float:
-        """Width without the quiet zone [px]."""
-        return len(self.modules) * self.placement.module_px
 
 
 def make_symbol(placement: CodePlacement) -> Symbol:
     """Encode a placement's text; raise UsageError where the version cannot hold it."""
-    p = placement
+    p, symbology = placement, Symbology(placement.symbology)
+    micro = symbology is Symbology.MICRO_QR_CODE
+    level = None if p.version == "M1" else p.ec  # which has none
     try:
-        code = segno.make(p.text, version=p.version, error=p.ec, mask=p.mask, micro=False, boost_error=False)
+        code = segno.make(p.text, version=p.version, error=level, mask=p.mask, micro=micro, boost_error=False)
     except segno.DataOverflowError:
         asked = "any version" if p.version is None else f"version {p.version}"
         raise UsageError(
             f"simulate: the text of {len(p.text)} characters does not fit {asked} at level {p.ec}; "
             "take a higher version, a lower level or a shorter text"
         ) from None
+    except ValueError as error:  # a level or a kind of text that a Micro QR code's version has not
+        raise UsageError(f"simulate: {symbology} cannot say {p.text!r}: {error}") from None
     return Symbol(
         placement=p,
-        version=int(code.version),
-        ec_level=str(code.error),
+        space=space_of(symbology, code.version if micro else int(code.version)),
+        ec_level=code.error,
         mask=int(code.mask),
         modules=np.array(code.matrix, np.uint8),
     )

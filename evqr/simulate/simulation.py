@@ -22,6 +22,7 @@ from evqr.simulate.printed import make_symbol
 from evqr.simulate.sensor import add_noise, draw_pixels, read_out, run_pixels
 from evqr.simulate.texture import draw_background, draw_object
 from evqr.simulate.truth import truth_of
+from evqr.symbol.space import Symbology, Version
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -44,7 +45,8 @@ class Simulation:
 def simulate(
     text: str | Sequence[str] = "EVQR",
     *,
-    version: int | None = None,
+    symbology: Symbology | str = Symbology.QR_CODE,
+    version: Version | None = None,
     ec: EcLevel = "M",
     mask: int | None = None,
     angle: float = 30.0,
@@ -67,7 +69,7 @@ def simulate(
 
     Parameters
     ----------
-    text, version, ec, mask, angle, module_px, invert
+    text, symbology, version, ec, mask, angle, module_px, invert
         the code, as in `CodePlacement`; several texts make as many codes, one behind the other
     direction, tilt, duration_us, start, width, height, seed
         the scene, as in `SceneConfig`
@@ -94,7 +96,14 @@ def simulate(
     if codes is None:
         texts = [text] if isinstance(text, str) else text
         alike = CodePlacement(
-            text="-", version=version, ec=ec, mask=mask, module_px=module_px, angle=angle, invert=invert
+            text="-",
+            symbology=symbology,
+            version=version,
+            ec=ec,
+            mask=mask,
+            module_px=module_px,
+            angle=angle,
+            invert=invert,
         )
         codes = in_a_row([replace(alike, text=each) for each in texts], direction) if code else []
     scene = SceneConfig(

@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 from evqr.errors import UsageError
 from evqr.simulate.config import SceneConfig
 from evqr.simulate.geometry import code_corners, code_to_object, transform
-from evqr.simulate.printed import QUIET_MODULES, Symbol
+from evqr.simulate.printed import Symbol
 
 #: Texels a px along the travel and across it.  With the default blur of 0.6 px, 6 knots a px put a crossing
 #: within 0.011 px (rms 0.004 px) of where the continuous signal has it.
@@ -78,7 +78,8 @@ def _print_code(
     texel's width, is exactly the convolution of the modules' squares with a box of that width.
     """
     to_object = code_to_object(symbol, scene.direction)
-    corners = transform(to_object, code_corners(symbol, QUIET_MODULES)) * TEXELS + origin
+    quiet = symbol.space.quiet_zone
+    corners = transform(to_object, code_corners(symbol, quiet)) * TEXELS + origin
     low = np.maximum(np.floor(corners.min(axis=0)).astype(int) - 1, 0)
     high = np.ceil(corners.max(axis=0)).astype(int) + 2
     window = np.s_[low[1] : high[1], low[0] : high[0]]
@@ -88,16 +89,16 @@ def _print_code(
     width = np.hypot(to_code[:2, 0] / TEXELS[0], to_code[:2, 1] / TEXELS[1])
 
     # One ring outside the quiet zone has coverage 0.
-    ring = QUIET_MODULES + 1
+    ring = quiet + 1
     dark = np.pad(symbol.modules.astype(bool), ring) ^ symbol.placement.invert
-    cover = np.pad(np.ones(np.array(symbol.modules.shape) + 2 * QUIET_MODULES, np.float32), 1)
+    cover = np.pad(np.ones(np.array(symbol.modules.shape) + 2 * quiet, np.float32), 1)
     value = np.where(dark, scene.black, scene.white).astype(np.float32) * cover
     cells, steps = [], []
     for axis in range(2):
         at = (to_code[axis, 0] * along + (to_code[axis, 1] * across)[:, None] + to_code[axis, 2]).astype(
             np.float32
         )
-        at = np.clip(at + np.float32(ring - 0.5), 0.0, len(cover) - 1.001)
+        at = np.clip(at + np.float32(ring - 0.5), 0.0, cover.shape[1 - axis] - 1.001)
         cell = at.astype(np.int32)
         cells.append(cell)
         steps.append(
@@ -105,13 +106,14 @@ def _print_code(
         )
     column, row = cells
     du, dv = steps
-    index = row * len(cover) + column
+    below = cover.shape[1]
+    index = row * below + column
 
     def mean_under(modules: Image) -> Image:
         flat = modules.ravel()
         top = flat[index] + du * (flat[index + 1] - flat[index])
-        bottom = flat[index + len(cover)]
-        bottom = bottom + du * (flat[index + len(cover) + 1] - bottom)
+        bottom = flat[index + below]
+        bottom = bottom + du * (flat[index + below + 1] - bottom)
         return top + dv * (bottom - top)
 
     label = mean_under(cover)
@@ -204,7 +206,10 @@ def draw_object(scene: SceneConfig, symbols: list[Symbol], rng: np.random.Genera
     half = BARE_HALF_PX
     if symbols:
         prints = np.concatenate(
-            [transform(code_to_object(s, scene.direction), code_corners(s, QUIET_MODULES)) for s in symbols]
+            [
+                transform(code_to_object(s, scene.direction), code_corners(s, s.space.quiet_zone))
+                for s in symbols
+            ]
         )
         half = np.abs(prints).max(axis=0) + MARGIN_PX
     blur = scene.psf_px * TEXELS

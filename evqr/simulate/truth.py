@@ -17,9 +17,10 @@ POSE_PERIOD_US = 250
 def truth_of(scene: SceneConfig, motion: Motion, symbols: list[Symbol]) -> dict[str, dict[str, Any]]:
     """Return what is true of each code: group name ("truth", "truth2", ...) to its fields.
 
-    Fields: payload, version, ec_level, mask; modules (n, n) uint8, 1 = dark; t_us (K,) int64; H (K, 3, 3),
-    which maps (column, row, 1) in modules from the outer corner of the top-left module to px; velocity (K, 2)
-    of the code's centre [px/s]; in_view (K,) bool, all of the code (without its quiet zone) on the sensor.
+    Fields: payload, symbology, version, rows, cols, ec_level ("" without levels), mask (-1 without masks);
+    modules (V, U) uint8, 1 = dark; t_us (K,) int64; H (K, 3, 3), which maps (column, row, 1) in modules from
+    the outer corner of the top-left module to px; velocity (K, 2) of the code's centre [px/s]; in_view (K,)
+    bool, all of the code (without its quiet zone) on the sensor.
     """
     t_us = np.unique(np.append(np.arange(0, motion.duration_us, POSE_PERIOD_US), motion.duration_us)).astype(
         np.int64
@@ -29,16 +30,20 @@ def truth_of(scene: SceneConfig, motion: Motion, symbols: list[Symbol]) -> dict[
         to_object = code_to_object(symbol, scene.direction)
         pose = motion.object_to_image(t_us) @ to_object
         pose /= pose[:, 2:, 2:]
-        centre = np.full((1, 2), len(symbol.modules) / 2)
+        space = symbol.space
+        centre = np.array([[space.columns, space.rows]]) / 2
         # One microsecond to each side: exact to rounding for a path this smooth.
         before, after = (transform(motion.object_to_image(t_us + d) @ to_object, centre) for d in (-1.0, 1.0))
         corners = transform(pose[:, None], code_corners(symbol))
         inside = (corners >= -0.5) & (corners <= np.array([scene.width, scene.height]) - 0.5)
         groups["truth" if index == 0 else f"truth{index + 1}"] = {
             "payload": symbol.placement.text,
-            "version": symbol.version,
-            "ec_level": symbol.ec_level,
-            "mask": symbol.mask,
+            "symbology": space.symbology.value,
+            "version": space.version,
+            "rows": space.rows,
+            "cols": space.columns,
+            "ec_level": "" if symbol.ec_level is None else symbol.ec_level,
+            "mask": -1 if symbol.mask is None else symbol.mask,
             "modules": symbol.modules,
             "t_us": t_us,
             "H": pose,

@@ -11,6 +11,9 @@ from evqr.simulate import PRESETS, CodePlacement, SceneConfig, SensorConfig, shu
 from evqr.simulate.geometry import code_corners, plan_motion, transform
 from evqr.simulate.printed import make_symbol
 from evqr.simulate.texture import gaussian_blur
+from evqr.symbol import micro_qr
+from evqr.symbol.decode import decode_grid
+from evqr.symbol.decoded import Decoded
 
 #: A sensor that hardly says anything, for tests of the truth alone.
 QUIET = SensorConfig(threshold=2.0)
@@ -99,6 +102,47 @@ def test_the_truth_has_the_layout_of_recordings():
     centre = transform(truth["H"], np.full((1, 2), 12.5))
     np.testing.assert_allclose(centre[-1] - centre[0], [0.0, 3.0 * 4.0], atol=1e-6)
     np.testing.assert_allclose(centre[k // 2], [119.5, 99.5], atol=1e-6)
+
+
+@pytest.mark.parametrize(
+    ("options", "version", "level", "size"),
+    [
+        ({"text": "12345", "version": "M1"}, "M1", "", 11),
+        ({"text": "DEV-55", "ec": "L"}, "M2", "L", 13),
+        ({"text": "DEV-55", "version": "M4", "ec": "Q", "mask": 3}, "M4", "Q", 17),
+    ],
+)
+def test_micro_qr_codes_are_printed_too(options, version, level, size):
+    made = simulate(**{**SMALL, **options}, symbology="MICROQR", tilt=10.0)
+    truth = made.truth["truth"]
+    assert (truth["symbology"], truth["version"], truth["ec_level"]) == ("MicroQRCode", version, level)
+    assert (truth["rows"], truth["cols"], truth["modules"].shape) == (size, size, (size, size))
+    assert truth["mask"] == options.get("mask", truth["mask"])
+    decoded = decode_grid(1.0 - 2.0 * truth["modules"], micro_qr.space(version))
+    assert isinstance(decoded, Decoded) and decoded.text == options["text"]
+    # the quiet zone of two modules ends where the label does
+    corners = code_corners(make_symbol(made.scene.codes[0]), margin=2.0)
+    np.testing.assert_array_equal(corners[[0, 2]], [[-2.0, -2.0], [size + 2.0, size + 2.0]])
+    assert correlation(made, truth) > 0.8
+
+
+@pytest.mark.parametrize(
+    ("options", "message"),
+    [
+        ({"symbology": "Code39"}, "symbology must be one of QRCode"),
+        ({"symbology": "aztec"}, "symbology is 'Aztec', but must be one of QRCode, MicroQRCode"),
+        ({"symbology": "microqr", "version": 2}, "version is 2, but must be M1 to M4"),
+        ({"version": "M2"}, "version is 'M2', but must be 1 to 40"),
+        ({"symbology": "microqr", "mask": 4}, "mask is 4, but must be 0 to 3"),
+        ({"symbology": "microqr", "version": "M2", "ec": "Q", "text": "1"}, "not fit version M2 at level Q"),
+        ({"symbology": "microqr", "ec": "H"}, "MicroQRCode cannot say 'EVQR-07': Error correction"),
+        ({"symbology": "microqr", "version": "M1", "text": "A"}, "does not fit version M1"),
+        ({"symbology": "microqr", "text": "A" * 40}, "does not fit any version at level M"),
+    ],
+)
+def test_symbols_that_cannot_be_printed(options, message):
+    with pytest.raises(UsageError, match=message):
+        simulate(**{**SMALL, **options})
 
 
 def test_in_view_follows_the_corners():
@@ -236,7 +280,7 @@ def test_a_tilted_plane_keeps_its_scale_at_the_centre_and_loses_it_with_depth():
     truth = simulate(codes=[placement], tilt=30.0, speed_px_ms=1.0, duration_us=2).truth["truth"]
     corners = transform(truth["H"][0], code_corners(symbol)[[0, 1, 2, 3, 0]])
     edges = np.linalg.norm(np.diff(corners, axis=0), axis=1)
-    size = symbol.size_px
+    size = symbol.space.columns * placement.module_px
     # The axis lies along the rows: these keep their length on average, and the columns shrink by cos 30.
     assert edges[[0, 2]].mean() == pytest.approx(size, rel=0.01)
     assert edges[[1, 3]].mean() == pytest.approx(size * np.cos(np.pi / 6), rel=0.01)
