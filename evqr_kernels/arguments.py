@@ -79,6 +79,20 @@ def sample_moments(
     checks.choice("image_idx", image_idx, len(image))
 
 
+def code_rhs(
+    checks: ArrayChecks, image: Floats, pose: Floats, lattice_u: Floats, lattice_v: Floats, profile: Floats,
+    slope: Floats, gain: Floats,
+) -> None:  # fmt: skip
+    """Check what `code_rhs` and `code_normal_equations` share."""
+    checks.floats("image", image, "B", "Y", "X")
+    checks.floats("pose", pose, "B", 9)
+    checks.floats("lattice_u", lattice_u, "S")
+    checks.floats("lattice_v", lattice_v, "T")
+    checks.floats("profile", profile, "P")
+    checks.floats("slope", slope, "P")
+    checks.floats("gain", gain, "B", 2)
+
+
 def render_code(checks: ArrayChecks, grid: Floats, to_grid: Floats, outside: Floats, sigma: float) -> None:
     """Check what `render_code` and its adjoint share."""
     checks.floats("grid", grid, "B", "G", "H")

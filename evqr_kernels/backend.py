@@ -221,14 +221,17 @@ class KernelBackend(Protocol):
         self, image: Array, image_idx: Array, points: Array, table: Array, gram: Array, terms: Array,
         factors: Array, settings: Array, max_iterations: int, pose_inout: Array, result_out: Array,
     ) -> None:  # fmt: skip
-        """Gauss-Newton on poses; ``settings``: centre, scale, ridge, damping, tolerance; result (N, 5)."""
+        """Gauss-Newton on poses; result (N, 5).
+
+        ``settings``: centre along u and v, scale along u and v, ridge, damping, tolerance.
+        """
         ...
 
     def code_rhs(
-        self, image: Array, pose: Array, lattice: Array, profile: Array, slope: Array, gain: Array,
-        samples_a_module: int, samples_out: Array, rows_out: Array, rhs_out: Array,
+        self, image: Array, pose: Array, lattice_u: Array, lattice_v: Array, profile: Array, slope: Array,
+        gain: Array, samples_a_module: int, samples_out: Array, rows_out: Array, rhs_out: Array,
     ) -> None:  # fmt: skip
-        """Right-hand side of stage two; ``samples_out`` is (B, S, S), ``rows_out`` (B, 2, S, M)."""
+        """Right-hand side of stage two; ``samples_out`` is (B, T, S), ``rows_out`` (B, 2, T, U)."""
         ...
 
     def pose_normal_equations(
@@ -239,8 +242,9 @@ class KernelBackend(Protocol):
         ...
 
     def code_normal_equations(
-        self, image: Array, pose: Array, lattice: Array, profile: Array, slope: Array, gain: Array,
-        samples_a_module: int, samples_out: Array, rows_out: Array, stencil_out: Array, rhs_out: Array,
+        self, image: Array, pose: Array, lattice_u: Array, lattice_v: Array, profile: Array, slope: Array,
+        gain: Array, samples_a_module: int, samples_out: Array, rows_out: Array, stencil_out: Array,
+        rhs_out: Array,
     ) -> None:  # fmt: skip
         """Stencil of A^T A, and A^T E with scratch as in `code_rhs`."""
         ...
@@ -252,20 +256,23 @@ class KernelBackend(Protocol):
     def solve_code_banded(
         self, rhs: Array, stencil: Array, damping: Array, free: Array, band_out: Array, q_inout: Array
     ) -> None:
-        """Banded Cholesky over free modules; ``band_out`` is (B, M^2, (K // 2) (M + 1) + 1)."""
+        """Banded Cholesky over free modules.
+
+        ``band_out`` is (B, V U, (K // 2) (M + 1) + 1), with M the lesser of V and U.
+        """
         ...
 
     def pull_modules(
         self, seen: Array, q: Array, damping: Array, certainty: float, rhs_out: Array, unclear_out: Array
     ) -> None:
-        """Right-hand side whose damping pulls to dark or light; ``unclear_out`` is (B, M) int32."""
+        """Right-hand side whose damping pulls to dark or light; ``unclear_out`` is (B, V) int32."""
         ...
 
     def solve_code(
         self, rhs: Array, stencil: Array, damping: Array, free: Array, q_inout: Array,
         scratch: tuple[Array, ...], iterations_out: Array, *, max_iterations: int, tolerance: float,
     ) -> None:  # fmt: skip
-        """Conjugate gradients over free modules; ``scratch`` is four (B, M, M) and two (B, 4, M)."""
+        """Conjugate gradients over free modules; ``scratch`` is four (B, V, U) and two (B, 4, V)."""
         ...
 
     def render_code(

@@ -300,7 +300,7 @@ def align_poses(size: Size, rng, dtype, iterations: int = 5) -> Problem:
         p, q = ((seen - place) / 2).transpose(2, 0, 1)
         images += (height * np.exp(-0.5 * (p * p + q * q)) * (0.4 * p - 0.25 * q)).reshape(images.shape)
     terms, factors = _terms()
-    settings = np.array([middle, middle, 1e-3, 1e-3, 0.0])
+    settings = np.array([*[middle] * 4, 1e-3, 1e-3, 0.0])
     start = poses + np.array([0, 0, 0.3, 0, 0, -0.2, 0, 0, 0]) * poses[:, :1]
     inputs = [images, np.arange(size.batch), points, table, table.T @ table, terms, factors, settings]
     kinds = [dtype, np.int32, dtype, dtype, dtype, np.int32, np.int32, dtype]
@@ -329,7 +329,7 @@ def _rhs(size: Size, rng, dtype) -> tuple[list, list, int, float]:
     lattice = ((np.arange(count) + 0.5) / per).astype(dtype)
     profile, slope = rng.normal(size=(2, PROFILE_MODULES * per)).astype(dtype)
     gain = rng.normal(size=(size.batch, 2)).astype(dtype)
-    inputs = [_image(size, rng, dtype), _poses(size, rng, dtype), lattice, profile, slope, gain, per]
+    inputs = [_image(size, rng, dtype), _poses(size, rng, dtype), lattice, lattice, profile, slope, gain, per]
     shapes = ((size.batch, count, count), (size.batch, 2, count, modules), (size.batch, modules, modules))
     samples = size.batch * count**2
     taps = PROFILE_MODULES * per

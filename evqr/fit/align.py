@@ -192,7 +192,7 @@ def _tables(space: CodeSpace, level: Level, cfg: AlignConfig, workspace: Workspa
     """Give what `align_poses` takes of a level: points, table, gram, terms, factors, settings."""
     table = pose_table(space, level.sigma, level.samples)
     terms, factors = _terms(level.tilt)
-    settings = (table.centre, table.scale, cfg.ridge, cfg.damping, level.tolerance)
+    settings = (*[table.centre] * 2, *[table.scale] * 2, cfg.ridge, cfg.damping, level.tolerance)
     return (
         workspace.table(("points", space, level), table.points),
         workspace.table(("table", space, level), table.table),

@@ -121,8 +121,8 @@ class Equations(Step):
     def launch(self) -> None:
         """Launch the kernels one by one."""
         self._backend.code_rhs(
-            self._image, self._pose, self._axis, self._profile, self._slope, self._gain, self._samples,
-            self._sampled, self._rows, self._rhs.device,
+            self._image, self._pose, self._axis, self._axis, self._profile, self._slope, self._gain,
+            self._samples, self._sampled, self._rows, self._rhs.device,
         )  # fmt: skip
 
     def read(self, gain: NDArray[np.float64]) -> NormalEquations:

@@ -12,11 +12,12 @@ def align_poses(
     image, image_idx, points, table, gram, terms, factors, settings, max_iterations, pose_inout, result_out
 ) -> None:
     """Refine poses; overwrites the results."""
-    centre, scale, ridge, damping, tolerance = (float(value) for value in settings)
+    centre_u, centre_v, scale_u, scale_v, ridge, damping, tolerance = (float(value) for value in settings)
+    longer = max(scale_u, scale_v)
     gram = gram.astype(np.float64)
     gain_gram = gram[-2:, -2:]
     solvable = gain_gram + ridge * np.trace(gain_gram) * np.eye(2)
-    to_centre = np.array([[1.0, 0.0, -centre], [0.0, 1.0, -centre], [0.0, 0.0, 1.0]])
+    to_centre = np.array([[1.0, 0.0, -centre_u], [0.0, 1.0, -centre_v], [0.0, 0.0, 1.0]])
     for h in range(len(pose_inout)):
         iterations, last = 0, False
         while True:
@@ -40,9 +41,9 @@ def align_poses(
             step /= max(size, 1.0)
             warp = np.array(
                 [
-                    [1.0 + step[1] / scale, step[2] / scale, step[0]],
-                    [step[4] / scale, 1.0 + step[5] / scale, step[3]],
-                    [-step[6] / scale**2, -step[7] / scale**2, 1.0],
+                    [1.0 + step[1] / scale_u, step[2] / scale_v, step[0]],
+                    [step[4] / scale_u, 1.0 + step[5] / scale_v, step[3]],
+                    [-step[6] / (longer * scale_u), -step[7] / (longer * scale_v), 1.0],
                 ]
             )
             pose = pose_inout[h].reshape(3, 3).astype(np.float64)

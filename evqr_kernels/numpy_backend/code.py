@@ -9,18 +9,18 @@ from evqr_kernels.numpy_backend.pose import bilinear, project
 
 
 def code_rhs(
-    image, pose, lattice, profile, slope, gain, samples_a_module, samples_out, rows_out, rhs_out
+    image, pose, lattice_u, lattice_v, profile, slope, gain, samples_a_module, samples_out, rows_out, rhs_out
 ) -> None:
     """Sample images on the lattice and fold them with the model's profiles; overwrites."""
-    modules = rhs_out.shape[1]
-    b = _along_axis(profile, len(lattice), modules, samples_a_module)
-    b_slope = _along_axis(slope, len(lattice), modules, samples_a_module)
-    v, u = np.meshgrid(lattice, lattice, indexing="ij")
+    rows, columns = rhs_out.shape[1:]
+    b_u, slope_u = (_along_axis(f, len(lattice_u), columns, samples_a_module) for f in (profile, slope))
+    b_v, slope_v = (_along_axis(f, len(lattice_v), rows, samples_a_module) for f in (profile, slope))
+    v, u = np.meshgrid(lattice_v, lattice_u, indexing="ij")
     for k in range(len(pose)):
         samples_out[k] = bilinear(image[k], *project(pose[k], u, v))
-        rows_out[k, 0] = samples_out[k] @ b
-        rows_out[k, 1] = samples_out[k] @ b_slope
-        rhs_out[k] = gain[k, 0] * (b.T @ rows_out[k, 1]) + gain[k, 1] * (b_slope.T @ rows_out[k, 0])
+        rows_out[k, 0] = samples_out[k] @ b_u
+        rows_out[k, 1] = samples_out[k] @ slope_u
+        rhs_out[k] = gain[k, 0] * (b_v.T @ rows_out[k, 1]) + gain[k, 1] * (slope_v.T @ rows_out[k, 0])
 
 
 def _along_axis(profile: NDArray, samples: int, modules: int, samples_a_module: int) -> NDArray:

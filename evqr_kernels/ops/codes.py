@@ -115,8 +115,9 @@ def sample_moments_adjoint(
 @any_arrays
 def align_poses(
     image: Floats, image_idx: Ints, pose: Floats, points: Floats, table: Floats, terms: Ints,
-    factors: Ints, *, centre: float, scale: float, ridge: float = 1e-3, damping: float = 1e-3,
-    tolerance: float = 1e-2, max_iterations: int = 10, backend: str = "auto", device: str | None = None,
+    factors: Ints, *, centre: tuple[float, float], scale: tuple[float, float], ridge: float = 1e-3,
+    damping: float = 1e-3, tolerance: float = 1e-2, max_iterations: int = 10, backend: str = "auto",
+    device: str | None = None,
 ) -> tuple[Floats, Floats]:  # fmt: skip
     """Refine poses by inverse-compositional Gauss-Newton.
 
@@ -132,8 +133,9 @@ def align_poses(
         Columns of the table that make up each parameter's derivative, and what each is multiplied with: 0
         nothing, 1 and 2 the gain along u and v, 3 one.  P is 6 for an affine map, 8 for a homography; the
         last two rows are those of the gain.
-    centre, scale : float [modules]
-        Of the coordinates in the table: (u - centre) / scale.
+    centre, scale : (float, float) [modules]
+        Of the coordinates in the table, along u and v: ``u' = (u - centre[0]) / scale[0]``,
+        ``v' = (v - centre[1]) / scale[1]``; half the size of the code, as a rule.
     ridge : float [1]
         Regularises the gain, relative to the trace of its Gram matrix.
     damping : float [1]
@@ -157,7 +159,8 @@ def align_poses(
     ------
     ValueError
         If an entry of ``image_idx`` is not 0 to B - 1, ``terms`` and ``factors`` do not have 8 or 10 rows, an
-        entry of ``terms`` is not 0 to C - 1, or ``max_iterations`` is less than 0.
+        entry of ``terms`` is not 0 to C - 1, ``max_iterations`` is less than 0, or ``centre`` or ``scale`` is
+        not a pair.
 
     See Also
     --------
@@ -165,6 +168,15 @@ def align_poses(
 
     Notes
     -----
+    The parameters are displacements [modules]: 1, u', v' along u, the same along v, and ``w u'``, ``w v'``
+    with ``w = (u - centre[0], v - centre[1]) / max(scale)``.  Where both scales are the same, w is (u', v'):
+    the derivative in the seventh is ``G_u u' u' + G_v u' v'``, with G the model's derivative along each axis.
+
+    There is a scale an axis so that every parameter is what moves at the code's edge, by which steps are
+    limited and end.  With one scale for a code of 7 x 139 modules those along the short side would tell of
+    places far outside of it: from a start half a module off it takes 8 iterations in place of 3, and one of
+    three poses with perspective is not found.
+
     Cost: an iteration takes a pass over all points, as `sample_moments` does, and a few thousand
     multiply-adds; one pass more scores the last pose.  One thread a pose, which stops when its pose does; no
     scratch.  The Gram matrix, S C^2 multiply-adds, is made by NumPy.
@@ -176,13 +188,16 @@ def align_poses(
     checks.ints("terms", terms, "P + 2", 4)
     checks.ints("factors", factors, "P + 2", 4)
     checks.at_least("max_iterations", max_iterations, 0)
+    for name, pair in (("centre", centre), ("scale", scale)):
+        if np.shape(pair) != (2,):
+            raise ValueError(f"{name} must be two numbers, along u and v, got {pair}")
     if len(terms) not in (8, 10):
         raise ValueError(f"terms must have shape (8, 4) or (10, 4), got {terms.shape}")
     columns = table.shape[1]
     if terms.min() < 0 or terms.max() >= columns:
         raise ValueError(f"terms must be 0 to {columns - 1}, got {terms.min()} to {terms.max()}")
     launch = Launch("align_poses", checks, backend, device)
-    settings = np.array([centre, scale, ridge, damping, tolerance], launch.dtype)
+    settings = np.array([*centre, *scale, ridge, damping, tolerance], launch.dtype)
     inputs = launch.put(image, image_idx, points, table, table.T @ table, terms, factors, settings)
     refined, result = launch.result(pose.copy(), *pose.shape), launch.result(None, len(pose), 5)
     launch.run(*inputs, max_iterations, refined, result)
@@ -192,8 +207,8 @@ def align_poses(
 
 @any_arrays
 def code_rhs(
-    image: Floats, pose: Floats, lattice: Floats, profile: Floats, slope: Floats, gain: Floats, *,
-    samples_a_module: int, backend: str = "auto", device: str | None = None,
+    image: Floats, pose: Floats, lattice_u: Floats, lattice_v: Floats, profile: Floats, slope: Floats,
+    gain: Floats, *, samples_a_module: int, backend: str = "auto", device: str | None = None,
 ) -> Floats:  # fmt: skip
     """Right-hand side of the least-squares problem for the modules, ``A^T E``.
 
@@ -203,21 +218,23 @@ def code_rhs(
         Images of events, one a pose.
     pose : (B, 9) float [modules to image px]
         Homographies, row-major: code coordinates to image pixels.
-    lattice : (S,) float [modules]
-        Sample positions along an axis, M modules times ``samples_a_module``.
+    lattice_u : (S,) float [modules]
+        Sample positions along u, U modules times ``samples_a_module``.
+    lattice_v : (T,) float [modules]
+        Sample positions along v, V modules times ``samples_a_module``; of a square code the same array.
     profile, slope : (P,) float [1, 1 / modules]
         A module's profile and its derivative, sampled, centred on the module.
     gain : (B, 2) float [weight modules]
         Motion in modules times contrast, along u and v.
     samples_a_module : int
-        Samples of the lattice, and of the profile, in a module.
+        Samples of both lattices, and of the profile, in a module.
     backend, device : str
         See `evqr_kernels.ops`.
 
     Returns
     -------
-    rhs : (B, M, M) float [weight^2]
-        Right-hand side; M is S / ``samples_a_module``, rounded down.
+    rhs : (B, V, U) float [weight^2]
+        Right-hand side; U and V are S and T over ``samples_a_module``, rounded down.
 
     Raises
     ------
@@ -230,25 +247,20 @@ def code_rhs(
 
     Notes
     -----
-    Cost: S^2 projections and looks at four pixels, and 2 M P (S + M) multiply-adds a window, in two passes;
-    scratch of (B, S, S) and (B, 2, S, M).
+    Cost: T S projections and looks at four pixels, and 2 U P (T + V) multiply-adds a window, in two passes;
+    scratch of (B, T, S) and (B, 2, T, U).
 
     Determinism: bit for bit.
     """
     checks = ArrayChecks()
-    checks.floats("image", image, "B", "Y", "X")
-    checks.floats("pose", pose, "B", 9)
-    checks.floats("lattice", lattice, "S")
-    checks.floats("profile", profile, "P")
-    checks.floats("slope", slope, "P")
-    checks.floats("gain", gain, "B", 2)
+    arguments.code_rhs(checks, image, pose, lattice_u, lattice_v, profile, slope, gain)
     checks.at_least("samples_a_module", samples_a_module, 1)
     launch = Launch("code_rhs", checks, backend, device)
-    batch, samples = len(pose), len(lattice)
-    modules = samples // samples_a_module
-    inputs = launch.put(image, pose, lattice, profile, slope, gain)
-    scratch = launch.scratch(batch, samples, samples), launch.scratch(batch, 2, samples, modules)
-    launch.run(*inputs, samples_a_module, *scratch, launch.result(None, batch, modules, modules))
+    batch, samples = len(pose), (len(lattice_v), len(lattice_u))
+    rows, columns = (count // samples_a_module for count in samples)
+    inputs = launch.put(image, pose, lattice_u, lattice_v, profile, slope, gain)
+    scratch = launch.scratch(batch, *samples), launch.scratch(batch, 2, samples[0], columns)
+    launch.run(*inputs, samples_a_module, *scratch, launch.result(None, batch, rows, columns))
     return launch.results()[0]
 
 
@@ -261,9 +273,9 @@ def pull_modules(
 
     Parameters
     ----------
-    seen : (B, M, M) float [weight^2]
+    seen : (B, V, U) float [weight^2]
         ``A^T E``: see `code_rhs`.
-    q : (B, M, M) float [1]
+    q : (B, V, U) float [1]
         Distance from light that an earlier solution found: -2 dark, 0 light.
     damping : (B,) float [weight^2]
         Of the next solution.
@@ -274,9 +286,9 @@ def pull_modules(
 
     Returns
     -------
-    rhs : (B, M, M) float [weight^2]
+    rhs : (B, V, U) float [weight^2]
         ``seen + damping (1 - clip(certainty (q + 1), -1, 1))``.
-    unclear : (B, M) int32
+    unclear : (B, V) int32
         How many modules of each row did not get to dark or light.
 
     Raises
@@ -295,15 +307,14 @@ def pull_modules(
     Determinism: bit for bit.
     """
     checks = ArrayChecks()
-    checks.floats("seen", seen, "B", "M", "M")
-    checks.floats("q", q, "B", "M", "M")
+    checks.floats("seen", seen, "B", "V", "U")
+    checks.floats("q", q, "B", "V", "U")
     checks.floats("damping", damping, "B")
     checks.at_least("certainty", certainty, 0.0)
     if certainty == np.inf:  # times zero, of modules that lean nowhere
         raise ValueError("certainty must be finite, got inf")
     launch = Launch("pull_modules", checks, backend, device)
-    batch, modules, _ = q.shape
-    results = launch.result(None, *q.shape), launch.result(None, batch, modules, dtype=np.int32)
+    results = launch.result(None, *q.shape), launch.result(None, *q.shape[:2], dtype=np.int32)
     launch.run(*launch.put(seen, q, damping), certainty, *results)
     rhs, unclear = launch.results()
     return rhs, unclear
@@ -318,15 +329,15 @@ def solve_code(
 
     Parameters
     ----------
-    rhs : (B, M, M) float [weight^2]
+    rhs : (B, V, U) float [weight^2]
         Right-hand side: see `code_rhs`.
     stencil : (B, K, K) float [weight^2]
         K odd; positive definite together with the damping.
     damping : (B,) float [weight^2]
         Added to the diagonal.
-    free : (M, M) int32
+    free : (V, U) int32
         Modules that are solved for; those with 0 keep their start.
-    start : (B, M, M) float [1]
+    start : (B, V, U) float [1]
         q to begin with; left as it is.
     max_iterations : int
         At most so many.
@@ -337,7 +348,7 @@ def solve_code(
 
     Returns
     -------
-    q : (B, M, M) float [1]
+    q : (B, V, U) float [1]
         The solution.
     iterations : (B,) int32
         How many it took.
@@ -355,24 +366,24 @@ def solve_code(
     -----
     Cost: K^2 + 6 multiply-adds a module and iteration.  On a CPU one thread a window, which stops when it has
     converged; on a GPU one thread a row of modules, 2 K^2, and two launches an iteration up to
-    ``max_iterations``, in which windows that have converged do nothing.  Scratch of four times (B, M, M) and
-    twice (B, 4, M).
+    ``max_iterations``, in which windows that have converged do nothing.  Scratch of four times (B, V, U) and
+    twice (B, 4, V).
 
     Determinism: bit for bit.
     """
     checks = ArrayChecks()
-    checks.floats("rhs", rhs, "B", "M", "M")
+    checks.floats("rhs", rhs, "B", "V", "U")
     checks.floats("stencil", stencil, "B", "K", "K")
     checks.floats("damping", damping, "B")
-    checks.ints("free", free, "M", "M")
-    checks.floats("start", start, "B", "M", "M")
+    checks.ints("free", free, "V", "U")
+    checks.floats("start", start, "B", "V", "U")
     checks.at_least("max_iterations", max_iterations, 0)
     if stencil.shape[1] % 2 == 0:
         raise ValueError(f"stencil must have an odd side, got {stencil.shape}")
     launch = Launch("solve_code", checks, backend, device)
-    batch, modules, _ = rhs.shape
-    scratch = [launch.scratch(batch, modules, modules) for _ in range(4)]
-    scratch += [launch.scratch(batch, 4, modules) for _ in range(2)]
+    batch, rows, _ = rhs.shape
+    scratch = [launch.scratch(*rhs.shape) for _ in range(4)]
+    scratch += [launch.scratch(batch, 4, rows) for _ in range(2)]
     q = launch.result(start.copy(), *start.shape)
     iterations = launch.result(None, batch, dtype=np.int32)
     launch.run(

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
+from evqr_kernels import arguments
 from evqr_kernels.checks import ArrayChecks, Floats, Ints
 from evqr_kernels.interop import any_arrays
 from evqr_kernels.launch import Launch
@@ -75,14 +76,14 @@ def pose_normal_equations(
 
 @any_arrays
 def code_normal_equations(
-    image: Floats, pose: Floats, lattice: Floats, profile: Floats, slope: Floats, gain: Floats, *,
-    samples_a_module: int, reach: int = 2, backend: str = "auto", device: str | None = None,
+    image: Floats, pose: Floats, lattice_u: Floats, lattice_v: Floats, profile: Floats, slope: Floats,
+    gain: Floats, *, samples_a_module: int, reach: int = 2, backend: str = "auto", device: str | None = None,
 ) -> tuple[Floats, Floats]:  # fmt: skip
     """Make the normal equations of the modules' least-squares problem: A^T A as a stencil, and A^T E.
 
     Parameters
     ----------
-    image, pose, lattice, profile, slope, gain, samples_a_module
+    image, pose, lattice_u, lattice_v, profile, slope, gain, samples_a_module
         As in `code_rhs`.
     reach : int [modules]
         On either side that the stencil covers; exact from (P - 1) // ``samples_a_module`` on.
@@ -93,7 +94,7 @@ def code_normal_equations(
     -------
     stencil : (B, K, K) float [weight^2]
         ``A^T A``, the same for all modules; K = 2 ``reach`` + 1.
-    rhs : (B, M, M) float [weight^2]
+    rhs : (B, V, U) float [weight^2]
         ``A^T E``, as of `code_rhs`.
 
     Raises
@@ -113,20 +114,15 @@ def code_normal_equations(
     Determinism: bit for bit.
     """
     checks = ArrayChecks()
-    checks.floats("image", image, "B", "Y", "X")
-    checks.floats("pose", pose, "B", 9)
-    checks.floats("lattice", lattice, "S")
-    checks.floats("profile", profile, "P")
-    checks.floats("slope", slope, "P")
-    checks.floats("gain", gain, "B", 2)
+    arguments.code_rhs(checks, image, pose, lattice_u, lattice_v, profile, slope, gain)
     checks.at_least("samples_a_module", samples_a_module, 1)
     checks.at_least("reach", reach, 0)
     launch = Launch("code_normal_equations", checks, backend, device)
-    batch, samples, side = len(pose), len(lattice), 2 * reach + 1
-    modules = samples // samples_a_module
-    inputs = launch.put(image, pose, lattice, profile, slope, gain)
-    scratch = launch.scratch(batch, samples, samples), launch.scratch(batch, 2, samples, modules)
-    results = launch.result(None, batch, side, side), launch.result(None, batch, modules, modules)
+    batch, samples, side = len(pose), (len(lattice_v), len(lattice_u)), 2 * reach + 1
+    rows, columns = (count // samples_a_module for count in samples)
+    inputs = launch.put(image, pose, lattice_u, lattice_v, profile, slope, gain)
+    scratch = launch.scratch(batch, *samples), launch.scratch(batch, 2, samples[0], columns)
+    results = launch.result(None, batch, side, side), launch.result(None, batch, rows, columns)
     launch.run(*inputs, samples_a_module, *scratch, *results)
     stencil, rhs = launch.results()
     return stencil, rhs
@@ -141,20 +137,20 @@ def code_product(
 
     Parameters
     ----------
-    q : (B, M, M) float [1]
+    q : (B, V, U) float [1]
         Taken as it is on all modules, fixed ones included.
     stencil : (B, K, K) float [weight^2]
         K odd.
     damping : (B,) float [weight^2]
         Added to the diagonal.
-    free : (M, M) int32
+    free : (V, U) int32
         Modules with 0 are not free.
     backend, device : str
         See `evqr_kernels.ops`.
 
     Returns
     -------
-    product : (B, M, M) float [weight^2]
+    product : (B, V, U) float [weight^2]
         The product.
 
     Raises
@@ -175,7 +171,7 @@ def code_product(
     Determinism: bit for bit.
     """
     checks = ArrayChecks()
-    checks.floats("q", q, "B", "M", "M")
+    checks.floats("q", q, "B", "V", "U")
     _check_system(checks, stencil, damping, free)
     launch = Launch("code_product", checks, backend, device)
     launch.run(*launch.put(q, stencil, damping, free), launch.result(None, *q.shape))
@@ -191,22 +187,22 @@ def solve_code_banded(
 
     Parameters
     ----------
-    rhs : (B, M, M) float [weight^2]
+    rhs : (B, V, U) float [weight^2]
         Right-hand side: see `code_rhs`.
     stencil : (B, K, K) float [weight^2]
         K odd; positive definite together with the damping, or q is NaN.
     damping : (B,) float [weight^2]
         Added to the diagonal.
-    free : (M, M) int32
+    free : (V, U) int32
         Modules that are solved for; those with 0 keep their start.
-    start : (B, M, M) float [1]
+    start : (B, V, U) float [1]
         Values of the modules that are not free; left as it is.
     backend, device : str
         See `evqr_kernels.ops`.
 
     Returns
     -------
-    q : (B, M, M) float [1]
+    q : (B, V, U) float [1]
         The solution.
 
     Raises
@@ -220,18 +216,21 @@ def solve_code_banded(
 
     Notes
     -----
-    Cost: M^4 (K / 2)^2 / 2 multiply-adds a window, whatever the condition, by one thread: on a GPU it takes a
-    batch of hundreds.  Scratch of (B, M^2, (K // 2) (M + 1) + 1).
+    Modules are numbered along the shorter side, M = min(V, U) of them.
+
+    Cost: V U M^2 (K / 2)^2 / 2 multiply-adds a window, whatever the condition, by one thread: on a GPU it
+    takes a batch of hundreds.  Scratch of (B, V U, (K // 2) (M + 1) + 1).
 
     Determinism: bit for bit.
     """
     checks = ArrayChecks()
-    checks.floats("rhs", rhs, "B", "M", "M")
+    checks.floats("rhs", rhs, "B", "V", "U")
     _check_system(checks, stencil, damping, free)
-    checks.floats("start", start, "B", "M", "M")
+    checks.floats("start", start, "B", "V", "U")
     launch = Launch("solve_code_banded", checks, backend, device)
-    batch, modules, _ = rhs.shape
-    band = launch.scratch(batch, modules**2, (stencil.shape[1] // 2) * (modules + 1) + 1)
+    batch, rows, columns = rhs.shape
+    width = stencil.shape[1] // 2 * (min(rows, columns) + 1)
+    band = launch.scratch(batch, rows * columns, width + 1)
     launch.run(*launch.put(rhs, stencil, damping, free), band, launch.result(np.array(start), *start.shape))
     return launch.results()[0]
 
@@ -239,6 +238,6 @@ def solve_code_banded(
 def _check_system(checks: ArrayChecks, stencil: Floats, damping: Floats, free: Ints) -> None:
     checks.floats("stencil", stencil, "B", "K", "K")
     checks.floats("damping", damping, "B")
-    checks.ints("free", free, "M", "M")
+    checks.ints("free", free, "V", "U")
     if stencil.shape[1] % 2 == 0:
         raise ValueError(f"stencil must have an odd side, got {stencil.shape}")

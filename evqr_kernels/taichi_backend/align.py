@@ -48,10 +48,10 @@ def make_align_poses(dtype, columns: int, alone: bool):
         return factor
 
     @ti.func
-    def centred(offset):
+    def centred(offset_u, offset_v):
         one = dtype(1.0)
         zero = dtype(0.0)
-        return ti.Matrix([[one, zero, offset], [zero, one, offset], [zero, zero, one]])
+        return ti.Matrix([[one, zero, offset_u], [zero, one, offset_v], [zero, zero, one]])
 
     @ti.kernel
     def align_poses(
@@ -72,11 +72,14 @@ def make_align_poses(dtype, columns: int, alone: bool):
             if idle > 0:
                 continue
             b = image_idx[h]
-            centre = settings[0]
-            scale = settings[1]
-            ridge = settings[2]
-            damping = settings[3]
-            tolerance = settings[4]
+            centre_u = settings[0]
+            centre_v = settings[1]
+            scale_u = settings[2]
+            scale_v = settings[3]
+            longer = ti.max(scale_u, scale_v)
+            ridge = settings[4]
+            damping = settings[5]
+            tolerance = settings[6]
             count = points.shape[0]
             n = terms.shape[0]
             parameters = n - 2
@@ -147,18 +150,18 @@ def make_align_poses(dtype, columns: int, alone: bool):
                         tilt_u = step[6]
                         tilt_v = step[7]
                     one = dtype(1.0)
-                    inverse_sq = one / (scale * scale)
                     warp = ti.Matrix(
                         [
-                            [one + step[1] / scale, step[2] / scale, step[0]],
-                            [step[4] / scale, one + step[5] / scale, step[3]],
-                            [-tilt_u * inverse_sq, -tilt_v * inverse_sq, one],
+                            [one + step[1] / scale_u, step[2] / scale_v, step[0]],
+                            [step[4] / scale_u, one + step[5] / scale_v, step[3]],
+                            [-tilt_u / (longer * scale_u), -tilt_v / (longer * scale_v), one],
                         ]
                     )
                     pose = ti.Matrix.zero(dtype, 3, 3)
                     for r, c in ti.static(ti.ndrange(3, 3)):
                         pose[r, c] = pose_inout[h, 3 * r + c]
-                    moved = pose @ centred(centre) @ warp.inverse() @ centred(-centre)
+                    forth, back = centred(-centre_u, -centre_v), centred(centre_u, centre_v)
+                    moved = pose @ back @ warp.inverse() @ forth
                     for r, c in ti.static(ti.ndrange(3, 3)):
                         pose_inout[h, 3 * r + c] = moved[r, c] / moved[2, 2]
                     iterations += 1

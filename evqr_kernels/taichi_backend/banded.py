@@ -27,10 +27,30 @@ def make_row_product(dtype):
 
 
 @cache
-def make_factor_rows(dtype, alone: bool):
+def make_places(upright: bool):
+    """Build the functions from a module's number to its row and column, and back."""
+
+    @ti.func
+    def place_of(free: ti.template(), i):
+        side = ti.min(free.shape[0], free.shape[1])
+        line = i // side
+        place = i - line * side
+        return (line, place) if ti.static(upright) else (place, line)
+
+    @ti.func
+    def number_of(free: ti.template(), row, column):
+        side = ti.min(free.shape[0], free.shape[1])
+        return row * side + column if ti.static(upright) else column * side + row
+
+    return place_of, number_of
+
+
+@cache
+def make_factor_rows(dtype, alone: bool, upright: bool):
     """Build the factorisation of some rows, and their forward substitution; one thread per window."""
     indices = indices_of_window(alone)
     row_product = make_row_product(dtype)
+    place_of, number_of = make_places(upright)
 
     @ti.kernel
     def factor_rows(
@@ -47,12 +67,10 @@ def make_factor_rows(dtype, alone: bool):
         for b, idle in ti.ndrange(rhs.shape[0], indices):
             if idle > 0:
                 continue
-            side = free.shape[0]
             reach = stencil.shape[1] // 2
             width = band_inout.shape[2] - 1
             for i in range(first_row, end_row):
-                row = i // side
-                column = i - row * side
+                row, column = place_of(free, i)
                 begin = ti.max(0, i - width)
                 for j in range(begin, i):
                     band_inout[b, i, width + j - i] = dtype(0.0)
@@ -60,18 +78,18 @@ def make_factor_rows(dtype, alone: bool):
                 if free[row, column] != 0:
                     # the matrix's row up to the diagonal, and what fixed modules leave on the other side
                     value = -rhs[b, row, column]
-                    for k in range(ti.max(-reach, -row), ti.min(reach + 1, side - row)):
-                        for m in range(ti.max(-reach, -column), ti.min(reach + 1, side - column)):
+                    for k in range(ti.max(-reach, -row), ti.min(reach + 1, free.shape[0] - row)):
+                        for m in range(ti.max(-reach, -column), ti.min(reach + 1, free.shape[1] - column)):
                             r = row + k
                             c = column + m
+                            j = number_of(free, r, c)
                             entry = stencil[b, k + reach, m + reach]
                             if free[r, c] == 0:
                                 value -= entry * q_inout[b, r, c]
-                            elif r * side + c < i:
-                                band_inout[b, i, width + r * side + c - i] = entry
+                            elif j < i:
+                                band_inout[b, i, width + j - i] = entry
                     for j in range(begin, i):
-                        r = j // side
-                        c = j - r * side
+                        r, c = place_of(free, j)
                         # rows of fixed modules stay as they are
                         if free[r, c] != 0:
                             first = ti.max(begin, j - width)
@@ -93,9 +111,10 @@ def make_factor_rows(dtype, alone: bool):
 
 
 @cache
-def make_substitute_rows(dtype, alone: bool):
+def make_substitute_rows(dtype, alone: bool, upright: bool):
     """Build the backward substitution of some rows; one thread per window."""
     indices = indices_of_window(alone)
+    place_of, _ = make_places(upright)
 
     @ti.kernel
     def substitute_rows(
@@ -109,18 +128,15 @@ def make_substitute_rows(dtype, alone: bool):
         for b, idle in ti.ndrange(q_inout.shape[0], indices):
             if idle > 0:
                 continue
-            side = free.shape[0]
             width = band.shape[2] - 1
             for back in range(end_row - first_row):
                 i = end_row - 1 - back
-                row = i // side
-                column = i - row * side
+                row, column = place_of(free, i)
                 if free[row, column] != 0:
                     value = q_inout[b, row, column] / band[b, i, width]
                     q_inout[b, row, column] = value
                     for j in range(ti.max(0, i - width), i):
-                        r = j // side
-                        c = j - r * side
+                        r, c = place_of(free, j)
                         if free[r, c] != 0:
                             q_inout[b, r, c] = q_inout[b, r, c] - band[b, i, width + j - i] * value
 
@@ -135,8 +151,8 @@ def rows_a_launch(band) -> int:
 
 def solve_code_banded(rhs, stencil, damping, free, band_out, q_inout) -> None:
     """Launch; q is updated in place, the band is scratch."""
-    dtype, alone = float_of(rhs), is_alone(rhs)
-    factor, substitute = make_factor_rows(dtype, alone), make_substitute_rows(dtype, alone)
+    variant = float_of(rhs), is_alone(rhs), free.shape[0] >= free.shape[1]
+    factor, substitute = make_factor_rows(*variant), make_substitute_rows(*variant)
     rows, step = band_out.shape[1], rows_a_launch(band_out)
     blocks = [(first, min(first + step, rows)) for first in range(0, rows, step)]
     for block in blocks:

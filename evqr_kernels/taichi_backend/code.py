@@ -20,7 +20,8 @@ def make_sample_rows(dtype):
     def sample_rows(
         image: array(dtype, 3),
         pose: array(dtype, 2),
-        lattice: array(dtype, 1),
+        lattice_u: array(dtype, 1),
+        lattice_v: array(dtype, 1),
         profile: array(dtype, 1),
         slope: array(dtype, 1),
         samples_a_module: ti.i32,
@@ -28,9 +29,9 @@ def make_sample_rows(dtype):
         rows_out: array(dtype, 4),
     ):
         for b, row in ti.ndrange(samples_out.shape[0], samples_out.shape[1]):
-            count = lattice.shape[0]
+            count = lattice_u.shape[0]
             for i in range(count):
-                x, y = project(pose, b, lattice[i], lattice[row])
+                x, y = project(pose, b, lattice_u[i], lattice_v[row])
                 samples_out[b, row, i] = bilinear(image, b, x, y)
             support = profile.shape[0]
             before = (support - samples_a_module) // 2
@@ -101,11 +102,13 @@ def make_fold_columns(dtype, block: int):
 
 
 def code_rhs(
-    image, pose, lattice, profile, slope, gain, samples_a_module: int, samples_out, rows_out, rhs_out
-) -> None:
+    image, pose, lattice_u, lattice_v, profile, slope, gain, samples_a_module: int, samples_out, rows_out,
+    rhs_out,
+) -> None:  # fmt: skip
     """Launch both passes; overwrites."""
     dtype = float_of(image)
     first = make_sample_rows(dtype)
-    launch(first, image, pose, lattice, profile, slope, samples_a_module, samples_out, rows_out)
+    lattices = lattice_u, lattice_v
+    launch(first, image, pose, *lattices, profile, slope, samples_a_module, samples_out, rows_out)
     fold = make_fold_columns(dtype, BLOCK if rhs_out.shape[2] >= BLOCK else 1)
     launch(fold, rows_out, profile, slope, gain, samples_a_module, rhs_out)

@@ -11,7 +11,8 @@ With the moments of an image seen through a pose (``pose``), the model's table h
 until the step is below the tolerance.  ``terms`` (P + 2, 4) holds for each parameter up to four columns of
 the table and ``factors`` what each is multiplied with: 0 nothing, 1 a_u, 2 a_v, 3 one.  The first six
 parameters are the affine ones (u: 1, u, v; v: 1, u, v), two more are perspective; coordinates are centred at
-``centre`` and divided by ``scale``.
+``centre`` and divided by ``scale``, both an axis.  Perspective moves a point by u, or v, times its distance
+from the centre over the longer scale.
 
 Results: gain, score (the normalised correlation of model and image), noise (the variance of what is left) and
 iterations, all at the pose that is returned.
@@ -37,6 +38,9 @@ MOST = 8
 
 TERMS = 4
 """Columns of the table that the derivative in one parameter is made of, at most."""
+
+SETTINGS = 7
+"""Numbers that a launch is told: centre and scale along u and v, ridge, damping, tolerance."""
 
 
 @cache
@@ -230,6 +234,7 @@ def make_align_poses(dtype: type, columns: int, unrolled: bool) -> wp.Kernel:
     """
     vec_columns = vector(columns, dtype)
     vec_pair = vector(2, dtype)
+    vec_settings = vector(SETTINGS, dtype)
     mat33 = wp.types.matrix(shape=(3, 3), dtype=dtype)
     bilinear = make_bilinear(dtype)
     project = make_project(dtype)
@@ -248,7 +253,7 @@ def make_align_poses(dtype: type, columns: int, unrolled: bool) -> wp.Kernel:
         gram: wp.array(dtype=dtype),
         terms: wp.array(dtype=wp.int32),
         factors: wp.array(dtype=wp.int32),
-        settings: wp.array(dtype=dtype),
+        settings: wp.array(dtype=vec_settings),
         max_iterations: int,
         pose_inout: wp.array2d(dtype=dtype),
         result_out: wp.array2d(dtype=dtype),
@@ -270,7 +275,7 @@ def make_align_poses(dtype: type, columns: int, unrolled: bool) -> wp.Kernel:
             guu = gram[columns * along_u + along_u]
             guv = gram[columns * along_u + along_v]
             gvv = gram[columns * along_v + along_v]
-            extra = settings[2] * (guu + gvv)
+            extra = settings[0][4] * (guu + gvv)
             determinant = (guu + extra) * (gvv + extra) - guv * guv
             gain_u = -((gvv + extra) * moments[along_u] - guv * moments[along_v]) / determinant
             gain_v = -((guu + extra) * moments[along_v] - guv * moments[along_u]) / determinant
@@ -284,22 +289,28 @@ def make_align_poses(dtype: type, columns: int, unrolled: bool) -> wp.Kernel:
             if iterations >= max_iterations or moving == 2:
                 moving = 0
             else:
-                # settings are read where they are needed: kept, they would take registers all along
-                step = newton_step(gram, terms, factors, settings[3], gain_u, gain_v, moments)
+                # settings are read where they are needed: kept, they would take registers all along, and so
+                # would their addresses, were they no vector
+                step = newton_step(gram, terms, factors, settings[0][5], gain_u, gain_v, moments)
                 size = dtype(0.0)
                 for p in range(MOST):
                     size += wp.abs(step[p])
                 step = step / wp.max(size, dtype(1.0))
-                centre = settings[0]
-                scale = settings[1]
+                centre_u = settings[0][0]
+                centre_v = settings[0][1]
+                scale_u = settings[0][2]
+                scale_v = settings[0][3]
+                longer = wp.max(scale_u, scale_v)
                 one = dtype(1.0)
                 zero = dtype(0.0)
-                inverse_sq = one / (scale * scale)
+                inverse_sq = one / (longer * longer)
+                tilt_u = step[6] / (scale_u / longer)
+                tilt_v = step[7] / (scale_v / longer)
                 warp_inverse = wp.inverse(
                     mat33(
-                        one + step[1] / scale, step[2] / scale, step[0],
-                        step[4] / scale, one + step[5] / scale, step[3],
-                        -step[6] * inverse_sq, -step[7] * inverse_sq, one,
+                        one + step[1] / scale_u, step[2] / scale_v, step[0],
+                        step[4] / scale_u, one + step[5] / scale_v, step[3],
+                        -tilt_u * inverse_sq, -tilt_v * inverse_sq, one,
                     )
                 )  # fmt: skip
                 moved = (
@@ -308,15 +319,15 @@ def make_align_poses(dtype: type, columns: int, unrolled: bool) -> wp.Kernel:
                         pose_inout[h, 3], pose_inout[h, 4], pose_inout[h, 5],
                         pose_inout[h, 6], pose_inout[h, 7], pose_inout[h, 8],
                     )
-                    * mat33(one, zero, centre, zero, one, centre, zero, zero, one)
+                    * mat33(one, zero, centre_u, zero, one, centre_v, zero, zero, one)
                     * warp_inverse
-                    * mat33(one, zero, -centre, zero, one, -centre, zero, zero, one)
+                    * mat33(one, zero, -centre_u, zero, one, -centre_v, zero, zero, one)
                 )  # fmt: skip
                 for r in range(3):
                     for c in range(3):
                         pose_inout[h, 3 * r + c] = moved[r, c] / moved[2, 2]
                 iterations += 1
-                if size < settings[4]:
+                if size < settings[0][6]:
                     moving = 2
 
     return align_poses
@@ -338,7 +349,7 @@ def align_poses(
             gram.flatten(),
             terms.flatten(),
             factors.flatten(),
-            settings,
+            last_axis_as_vector(settings.reshape((1, SETTINGS))),
             max_iterations,
         ],
         outputs=[pose_inout, result_out],

@@ -1,8 +1,8 @@
 """Stage two's right-hand side.
 
 The model of the residual image in code coordinates is ``A q = a_u B q B'^T + a_v B' q B^T`` (rows v, columns
-u), with B the module profile sampled K times a module and B' its derivative.  With E the image sampled on the
-same lattice under a pose:
+u), with B the module profile sampled K times a module and B' its derivative: left of q for V modules along
+v, right of it for U along u.  With E the image sampled on the same lattice under a pose:
 
     rhs = A^T E = a_u B^T (E B') + a_v B'^T (E B)
 
@@ -38,7 +38,8 @@ def make_sample_rows(dtype: type) -> wp.Kernel:
     def sample_rows(
         pairs: wp.array3d(dtype=vector(2, dtype)),
         pose: wp.array2d(dtype=dtype),
-        lattice: wp.array(dtype=dtype),
+        lattice_u: wp.array(dtype=dtype),
+        lattice_v: wp.array(dtype=dtype),
         profile: wp.array(dtype=dtype),
         slope: wp.array(dtype=dtype),
         profile_taps: wp.array(dtype=vec_taps),
@@ -49,9 +50,9 @@ def make_sample_rows(dtype: type) -> wp.Kernel:
         rows_out: wp.array4d(dtype=dtype),
     ):
         b, row = wp.tid()
-        count = lattice.shape[0]
+        count = lattice_u.shape[0]
         for i in range(count):
-            x, y = project(pose, b, lattice[i], lattice[row])
+            x, y = project(pose, b, lattice_u[i], lattice_v[row])
             samples_out[b, row, i] = bilinear(pairs, b, x, y)
         support = profile.shape[0]
         before = (support - samples_a_module) // 2
@@ -113,19 +114,21 @@ def make_fold_columns(dtype: type, block: int) -> wp.Kernel:
 
 
 def code_rhs(
-    image, pose, lattice, profile, slope, gain, samples_a_module: int, samples_out, rows_out, rhs_out
-) -> None:
+    image, pose, lattice_u, lattice_v, profile, slope, gain, samples_a_module: int, samples_out, rows_out,
+    rhs_out,
+) -> None:  # fmt: skip
     """Launch both passes; overwrites."""
     dtype, device = image.dtype, image.device
-    batch, modules, _ = rhs_out.shape
-    block = BLOCK if modules >= BLOCK else 1
+    batch, rows, columns = rhs_out.shape
+    block = BLOCK if columns >= BLOCK else 1
     launch(
         make_sample_rows(dtype),
-        (batch, lattice.shape[0]),
+        (batch, lattice_v.shape[0]),
         inputs=[
             neighbours(image, 2),
             pose,
-            lattice,
+            lattice_u,
+            lattice_v,
             profile,
             slope,
             neighbours(profile, TAPS),
@@ -137,7 +140,7 @@ def code_rhs(
     )
     launch(
         make_fold_columns(dtype, block),
-        (batch, modules, -(-modules // block)),
+        (batch, rows, -(-columns // block)),
         inputs=[neighbours(rows_out, block), profile, slope, gain, samples_a_module],
         outputs=[neighbours(rhs_out, block)],
         device=device,

@@ -64,8 +64,8 @@ def make_code_stencil(dtype: type) -> wp.Kernel:
 
 
 def code_normal_equations(
-    image, pose, lattice, profile, slope, gain, samples_a_module: int, samples_out, rows_out, stencil_out,
-    rhs_out,
+    image, pose, lattice_u, lattice_v, profile, slope, gain, samples_a_module: int, samples_out, rows_out,
+    stencil_out, rhs_out,
 ) -> None:  # fmt: skip
     """Launch; overwrites."""
     launch(
@@ -75,7 +75,10 @@ def code_normal_equations(
         outputs=[stencil_out],
         device=image.device,
     )
-    code_rhs(image, pose, lattice, profile, slope, gain, samples_a_module, samples_out, rows_out, rhs_out)
+    code_rhs(
+        image, pose, lattice_u, lattice_v, profile, slope, gain, samples_a_module, samples_out, rows_out,
+        rhs_out,
+    )  # fmt: skip
 
 
 @cache

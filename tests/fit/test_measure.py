@@ -58,8 +58,8 @@ def solving(step, equations, workspace):
 
     def launch():
         workspace.backend.code_normal_equations(
-            step.images.device, step.align.pose, axis, profile, slope, step.align.gain, samples, sampled,
-            rows, solution._stencil.device, solution._seen.device,
+            step.images.device, step.align.pose, axis, axis, profile, slope, step.align.gain, samples,
+            sampled, rows, solution._stencil.device, solution._seen.device,
         )  # fmt: skip
         solution.launch_first()
 

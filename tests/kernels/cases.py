@@ -12,6 +12,7 @@ from evqr_kernels import SplatConfig
 from .helpers import filled
 
 B, Y, X = 3, 23, 31
+WIDE, TALL = (7, 12), (13, 6)  # modules of codes: rows, columns
 SPLAT = SplatConfig(epsilon_px=0.8)
 
 
@@ -230,19 +231,22 @@ def sample_moments_adjoint(rng, dtype):
     return Call("sample_moments_adjoint", inputs, [filled((B, Y, X), dtype, 0.5)])
 
 
-def code_rhs(rng, dtype, modules=11, samples=3):
-    lattice = (np.arange(modules * samples) + 0.5) / samples
+def code_rhs(rng, dtype, shape=WIDE, samples=3):
+    across, down = (((np.arange(size * samples) + 0.5) / samples).astype(dtype) for size in shape[::-1])
     profile, slope = rng.normal(size=(2, 5 * samples)).astype(dtype)
     image = rng.normal(size=(B, Y, X)).astype(dtype)
     gain = rng.normal(size=(B, 2)).astype(dtype)
-    inputs = [image, poses(rng, B, dtype), lattice.astype(dtype), profile, slope, gain, samples]
-    count = modules * samples
+    inputs = [image, poses(rng, B, dtype), across, down, profile, slope, gain, samples]
     outputs = [
-        filled((B, count, count), dtype),
-        filled((B, 2, count, modules), dtype),
-        filled((B, modules, modules), dtype),
+        filled((B, len(down), len(across)), dtype),
+        filled((B, 2, len(down), shape[1]), dtype),
+        filled((B, *shape), dtype),
     ]
     return Call("code_rhs", inputs, outputs, scratch=2)
+
+
+def code_rhs_tall(rng, dtype):
+    return code_rhs(rng, dtype, TALL)
 
 
 def pose_normal_equations(rng, dtype, parameters=8, count=4, columns=20):
@@ -255,32 +259,48 @@ def pose_normal_equations(rng, dtype, parameters=8, count=4, columns=20):
     return Call("pose_normal_equations", [moments, table.T @ table, terms, factors, 1e-3], outputs)
 
 
-def code_normal_equations(rng, dtype, modules=11, reach=2):
-    call = code_rhs(rng, dtype, modules)
+def code_normal_equations(rng, dtype, shape=WIDE, reach=2):
+    call = code_rhs(rng, dtype, shape)
     samples, rows, rhs = call.outputs
     side = 2 * reach + 1
     outputs = [samples, rows, filled((B, side, side), dtype), rhs]
     return Call("code_normal_equations", call.inputs, outputs, scratch=2)
 
 
-def code_product(rng, dtype):
-    rhs, stencil, damping, free, start = system(rng, dtype, 9)
+def code_normal_equations_tall(rng, dtype):
+    return code_normal_equations(rng, dtype, TALL)
+
+
+def code_product(rng, dtype, shape=WIDE):
+    rhs, stencil, damping, free, start = system(rng, dtype, shape)
     return Call("code_product", [start, stencil, damping, free], [filled(rhs.shape, dtype)])
 
 
-def pull_modules(rng, dtype):
-    seen, q = rng.normal(size=(2, B, 9, 9)).astype(dtype)
+def code_product_tall(rng, dtype):
+    return code_product(rng, dtype, TALL)
+
+
+def pull_modules(rng, dtype, shape=WIDE):
+    seen, q = rng.normal(size=(2, B, *shape)).astype(dtype)
     inputs = [seen, q - dtype(1.0), np.linspace(0.1, 0.5, B).astype(dtype), 2.0]
-    return Call("pull_modules", inputs, [filled(q.shape, dtype), np.full((B, 9), -9, np.int32)])
+    return Call("pull_modules", inputs, [filled(q.shape, dtype), np.full((B, shape[0]), -9, np.int32)])
 
 
-def solve_code_banded(rng, dtype, modules=9):
-    rhs, stencil, damping, free, start = system(rng, dtype, modules)
-    band = filled((B, modules**2, 2 * (modules + 1) + 1), dtype)
+def pull_modules_tall(rng, dtype):
+    return pull_modules(rng, dtype, TALL)
+
+
+def solve_code_banded(rng, dtype, shape=WIDE):
+    rhs, stencil, damping, free, start = system(rng, dtype, shape)
+    band = filled((B, shape[0] * shape[1], 2 * (min(shape) + 1) + 1), dtype)
     return Call("solve_code_banded", [rhs, stencil, damping, free], [band, start], scratch=1)
 
 
-def system(rng, dtype, modules):
+def solve_code_banded_tall(rng, dtype):
+    return solve_code_banded(rng, dtype, TALL)
+
+
+def system(rng, dtype, shape=WIDE):
     """Arguments of `solve_code`: positive definite, with free modules up to the border."""
     taps = rng.normal(size=(B, 3, 3))
     stencil = np.zeros((B, 5, 5))
@@ -288,8 +308,8 @@ def system(rng, dtype, modules):
         for j in range(3):
             for i in range(3):
                 stencil[b, j : j + 3, i : i + 3] += taps[b, j, i] * taps[b, ::-1, ::-1]
-    free = (rng.random((modules, modules)) < 0.7).astype(np.int32)
-    rhs, start = rng.normal(size=(2, B, modules, modules))
+    free = (rng.random(shape) < 0.7).astype(np.int32)
+    rhs, start = rng.normal(size=(2, B, *shape))
     return [rhs.astype(dtype), stencil.astype(dtype), np.full(B, 0.3, dtype), free, start.astype(dtype)]
 
 
@@ -392,9 +412,13 @@ CALLS = [
     sample_moments_adjoint,
     pose_normal_equations,
     code_rhs,
+    code_rhs_tall,
     code_normal_equations,
+    code_normal_equations_tall,
     code_product,
+    code_product_tall,
     pull_modules,
+    pull_modules_tall,
     render_code,
     render_code_smooth,
     render_code_tilted,

@@ -1,6 +1,7 @@
-"""Differentiable operations from their definitions, dense and slow, for PyTorch and JAX alike.
+"""Operations from their definitions, dense and slow.
 
-``xp`` is `torch` or `jax.numpy`, ``erf`` its error function; index arrays are NumPy's.
+The differentiable ones are for PyTorch and JAX alike: ``xp`` is `torch` or `jax.numpy`, ``erf`` its error
+function; index arrays are NumPy's.  The problem of a code's modules is NumPy's alone.
 """
 
 import math
@@ -145,3 +146,40 @@ def sample_moments(xp, image, image_idx, pose, points, table, active=None):
         e = inside * xp.einsum("yx,sy,sx->s", image[int(b)], *shares)
         moments.append(float(looks) * xp.concatenate([e @ table, (e @ e)[None]]))
     return xp.stack(moments)
+
+
+def code_model(profile, slope, gain, shape, samples):
+    """A of `code_rhs` for one window of V x U modules: (lattice points, modules), both row by row."""
+
+    def along(values, modules):
+        matrix = np.zeros((modules * samples, modules))
+        for j in range(modules):
+            for k, value in enumerate(values):
+                if 0 <= (row := j * samples - (len(values) - samples) // 2 + k) < len(matrix):
+                    matrix[row, j] = value
+        return matrix
+
+    (b_v, slope_v), (b_u, slope_u) = ([along(f, modules) for f in (profile, slope)] for modules in shape)
+    return gain[0] * np.kron(b_v, slope_u) + gain[1] * np.kron(slope_v, b_u)
+
+
+def code_matrix(stencil, damping, shape):
+    """The system of `code_product` for one window with all V x U modules free."""
+    reach = len(stencil) // 2
+    matrix = np.zeros((*shape, *shape))
+    for i, j in np.ndindex(*shape):
+        for k, m in np.ndindex(*stencil.shape):
+            row, column = i + k - reach, j + m - reach
+            if 0 <= row < shape[0] and 0 <= column < shape[1]:
+                matrix[i, j, row, column] = stencil[k, m]
+    size = shape[0] * shape[1]
+    return matrix.reshape(size, size) + damping * np.eye(size)
+
+
+def code_solution(rhs, stencil, damping, free, start):
+    """The modules of `solve_code` for one window."""
+    matrix = code_matrix(stencil, damping, rhs.shape)
+    is_free, q = free.ravel() != 0, start.ravel().astype(float)
+    fixed = matrix[np.ix_(is_free, ~is_free)] @ q[~is_free]
+    q[is_free] = np.linalg.solve(matrix[np.ix_(is_free, is_free)], -rhs.ravel()[is_free] - fixed)
+    return q.reshape(rhs.shape)

@@ -7,40 +7,51 @@ import evqr_kernels
 
 from .helpers import assert_close
 
-CENTRE = SCALE = 6.0
+SIDES = [(12, 12), (5, 16), (16, 5)]
+"""Modules of the codes: rows and columns."""
+
 GAIN = np.array([0.8, -0.5])
 TRUE = np.array([[3.0, 0.4, 6.2], [-0.5, 2.8, 9.1], [0.001, -0.0005, 1.0]])
 EXACT = {np.dtype(np.float32): 2e-3, np.dtype(np.float64): 1e-9}
 """Steps multiply rounding by the condition of the normal matrix, some hundreds."""
 
 
-def model(points):
+def centre_of(sides):
+    """Centre of the code, and as much the scale of its coordinates, along u and v."""
+    return sides[1] / 2, sides[0] / 2
+
+
+def model(points, sides):
     """First and second derivatives of a few smooth blobs at (S, 2) code coordinates: u, v, uu, uv, vv."""
     rng = np.random.default_rng(4)
     total = np.zeros((5, len(points)))
-    for place, height in zip(rng.uniform(1, 11, (12, 2)), rng.normal(size=12), strict=True):
+    places = rng.uniform(1, np.subtract(sides[::-1], 1), (12, 2))
+    for place, height in zip(places, rng.normal(size=12), strict=True):
         u, v = (points - place).T
         blob = height * np.exp(-0.5 * (u * u + v * v))
         total += blob * np.stack([-u, -v, u * u - 1, u * v, v * v - 1])
     return total
 
 
-def scene(dtype, tilt):
+def scene(dtype, tilt, sides=SIDES[0]):
     """Image of the model under the true pose, and the table and terms of an affine or a projective pose."""
-    y, x = np.mgrid[:48, :52].astype(float)
+    y, x = np.mgrid[:64, :60].astype(float)
     back = np.linalg.inv(TRUE) @ np.stack([x.ravel(), y.ravel(), np.ones(x.size)])
-    seen = model((back[:2] / back[2]).T)
+    seen = model((back[:2] / back[2]).T, sides)
     image = -(GAIN @ seen[:2]).reshape(1, *x.shape)
 
-    axis = np.arange(0.25, 12, 0.5)
-    points = np.stack(np.meshgrid(axis, axis), axis=-1).reshape(-1, 2)
-    l_u, l_v, *second = model(points)
-    u, v = ((points - CENTRE) / SCALE).T
-    weights = (np.ones_like(u), u, v, u * u, u * v, v * v)
-    table = np.stack([along * weight for along in second for weight in weights] + [l_u, l_v], axis=1)
-    rows = [[(w, 1), (6 + w, 2)] for w in range(3)] + [[(6 + w, 1), (12 + w, 2)] for w in range(3)]
+    axes = (np.arange(0.25, size, 0.5) for size in sides[::-1])
+    points = np.stack(np.meshgrid(*axes), axis=-1).reshape(-1, 2)
+    l_u, l_v, *second = model(points, sides)
+    u, v = ((points - centre_of(sides)) / centre_of(sides)).T
+    x, y = ((points - centre_of(sides)) / max(centre_of(sides))).T
+    affine, along, across = [np.ones_like(u), u, v], [x * u, x * v], [y * u, y * v]
+    weights = affine + along, affine + along + across, affine + across  # of L_uu, L_uv, L_vv
+    columns = [f * weight for f, of_f in zip(second, weights, strict=True) for weight in of_f]
+    table = np.stack([*columns, np.ones_like(u), l_u, l_v], axis=1)
+    rows = [[(w, 1), (5 + w, 2)] for w in range(3)] + [[(5 + w, 1), (12 + w, 2)] for w in range(3)]
     if tilt:
-        rows += [[(3 + k, 1), (9 + k, 2), (10 + k, 1), (16 + k, 2)] for k in range(2)]
+        rows += [[(3 + k, 1), (8 + k, 2), (10 + k, 1), (15 + k, 2)] for k in range(2)]
     rows += [[(18, 3)], [(19, 3)]]
     padded = np.array([row + [(0, 0)] * (4 - len(row)) for row in rows], np.int32)
     terms, factors = (np.ascontiguousarray(padded[..., k]) for k in range(2))
@@ -58,19 +69,20 @@ def starts(dtype):
     return (poses / poses[:, 2:, 2:]).reshape(-1, 9).astype(dtype)
 
 
-def align(backend, dtype, tilt, device="cpu", poses=None, **options):
-    image, points, table, terms, factors = scene(dtype, tilt)
+def align(backend, dtype, tilt, device="cpu", poses=None, sides=SIDES[0], **options):
+    image, points, table, terms, factors = scene(dtype, tilt, sides)
     poses = starts(dtype) if poses is None else poses
     return evqr_kernels.align_poses(
         image, np.zeros(len(poses), np.int32), poses, points, table, terms, factors,
-        centre=CENTRE, scale=SCALE, backend=backend, device=device, **options,
+        centre=centre_of(sides), scale=centre_of(sides), backend=backend, device=device, **options,
     )  # fmt: skip
 
 
+@pytest.mark.parametrize("sides", SIDES, ids=str)
 @pytest.mark.parametrize("tilt", [False, True])
 @pytest.mark.parametrize("most", [0, 1, 3])
-def test_equals_the_specification(tilt, most, placed, dtype):
-    options = {"max_iterations": most, "tolerance": 0.0}
+def test_equals_the_specification(tilt, most, sides, placed, dtype):
+    options = {"max_iterations": most, "tolerance": 0.0, "sides": sides}
     poses, values = align(placed.backend.name, dtype, tilt, placed.device, **options)
     expected, expected_values = align("numpy", dtype, tilt, **options)
     np.testing.assert_array_equal(values[:, 4], most)
@@ -80,10 +92,13 @@ def test_equals_the_specification(tilt, most, placed, dtype):
     np.testing.assert_allclose(values[:, 3], expected_values[:, 3], rtol=0, atol=EXACT[np.dtype(dtype)])
 
 
-def test_finds_the_pose_and_the_gain(placed, dtype):
+@pytest.mark.parametrize("sides", SIDES, ids=str)
+def test_finds_the_pose_and_the_gain(sides, placed, dtype):
     """Bilinear sampling blurs the image a little: the pose is good to a hundredth of a module."""
-    poses, values = align(placed.backend.name, dtype, True, placed.device, max_iterations=20, tolerance=1e-3)
-    corners = np.array([[1, 1, 1], [11, 1, 1], [11, 11, 1], [1, 11, 1]]).T
+    options = {"max_iterations": 20, "tolerance": 1e-3, "sides": sides}
+    poses, values = align(placed.backend.name, dtype, True, placed.device, **options)
+    v, u = np.subtract(sides, 1)
+    corners = np.array([[1, 1, 1], [u, 1, 1], [u, v, 1], [1, v, 1]]).T
     true = np.linalg.inv(TRUE)
     for pose in poses.reshape(-1, 3, 3).astype(float):
         back = true @ pose @ corners

@@ -10,7 +10,7 @@ from evqr_kernels import checks
 
 from . import cases
 from .helpers import TOLERANCE, assert_close, filled
-from .test_align import CENTRE, SCALE, scene, starts
+from .test_align import SIDES, centre_of, scene, starts
 
 SUMMED = {
     "sample_moments_adjoint": ((1, 2, 3, 6), ()),
@@ -36,14 +36,14 @@ SHARED = {
     "lag_operator": (0, 4),
     "sample_moments": (0, 4, 5),
     "pose_normal_equations": (1, 2, 3),
-    "code_rhs": (2, 3, 4),
-    "code_normal_equations": (2, 3, 4),
+    "code_rhs": (2, 3, 4, 5),
+    "code_normal_equations": (2, 3, 4, 5),
     "code_product": (3,),
     "solve_code_banded": (3,),
 }
 """Which inputs are one for all windows."""
 
-ALL = [*cases.CALLS, cases.solve_code_banded]
+ALL = [*cases.CALLS, cases.solve_code_banded, cases.solve_code_banded_tall]
 WINDOWED = [make for make in ALL if make(np.random.default_rng(0), np.float32).op not in SUMMED]
 
 SUMS = [make for make in ALL if make(np.random.default_rng(0), np.float32).op in SUMMED]
@@ -181,7 +181,7 @@ def test_sums_on_threads(make, placed, dtype):
 @pytest.mark.parametrize("order", [[2, 0, 1], [1], [0, 2] * 256], ids=["permuted", "one", "512"])
 def test_any_poses_align_as_in_the_batch(order, placed, dtype):
     image, points, table, terms, factors = scene(dtype, tilt=True)
-    options = {"centre": CENTRE, "scale": SCALE, "max_iterations": 3}
+    options = {"centre": centre_of(SIDES[0]), "scale": centre_of(SIDES[0]), "max_iterations": 3}
     options |= {"backend": placed.backend.name, "device": placed.device}
 
     def align(poses):
@@ -194,7 +194,7 @@ def test_any_poses_align_as_in_the_batch(order, placed, dtype):
 
 @pytest.mark.parametrize("order", [[2, 0, 1], [1], [0, 2] * 256], ids=["permuted", "one", "512"])
 def test_any_codes_are_solved_as_in_the_batch(order, placed, dtype, rng):
-    rhs, stencil, damping, free, start = cases.system(rng, dtype, 9)
+    rhs, stencil, damping, free, start = cases.system(rng, dtype)
     where = {"backend": placed.backend.name, "device": placed.device}
     whole = evqr_kernels.solve_code(rhs, stencil, damping, free, start, **where)
     part = evqr_kernels.solve_code(rhs[order], stencil[order], damping[order], free, start[order], **where)
@@ -204,12 +204,12 @@ def test_any_codes_are_solved_as_in_the_batch(order, placed, dtype, rng):
 
 def test_poses_and_codes_on_threads_and_repeated(placed, dtype, rng):
     image, points, table, terms, factors = scene(dtype, tilt=True)
-    system = cases.system(rng, dtype, 9)
+    system = cases.system(rng, dtype)
     where = {"backend": placed.backend.name, "device": placed.device}
 
     def solve(_):
         idx = np.zeros(3, np.int32)
-        options = {"centre": CENTRE, "scale": SCALE, "max_iterations": 3, **where}
+        options = {"centre": centre_of(SIDES[0]), "scale": centre_of(SIDES[0]), "max_iterations": 3, **where}
         poses = evqr_kernels.align_poses(image, idx, starts(dtype), points, table, terms, factors, **options)
         return [*poses, *evqr_kernels.solve_code(*system, **where)]
 
@@ -228,7 +228,7 @@ def test_more_than_an_index_can_hold_is_refused(monkeypatch):
         evqr_kernels.render_code(grid, np.zeros((1, 6), np.float32), outside, shape=(2**16, 2**16))
     with pytest.raises(ValueError, match="scratch must have fewer than 2147483648 elements"):
         pose, lattice, profile = np.zeros((1, 9), np.float32), np.zeros(2**16, np.float32), few[0].repeat(2)
-        evqr_kernels.code_rhs(grid, pose, lattice, profile, profile, few, samples_a_module=2)
+        evqr_kernels.code_rhs(grid, pose, lattice, lattice, profile, profile, few, samples_a_module=2)
     monkeypatch.setattr(checks, "MOST_ELEMENTS", 99)
     image = np.zeros((1, 10, 10), np.float32)
     with pytest.raises(ValueError, match="luminance must have fewer than 100 elements, got 100"):

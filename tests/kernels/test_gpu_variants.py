@@ -10,7 +10,8 @@ from evqr_kernels import SplatConfig, get_backend
 
 from . import cases
 from .helpers import Runner, assert_close
-from .test_align import EXACT, align
+from .test_align import EXACT, SIDES, align
+from .test_batches import ALL
 
 pytest.importorskip("warp")
 
@@ -69,7 +70,7 @@ def test_every_choice_is_known():
     assert {name[4:] for name in told} <= {*CHOICES, "FLAGS"}
 
 
-@pytest.mark.parametrize("case", [*cases.CALLS, cases.solve_code_banded], ids=lambda case: case.__name__)
+@pytest.mark.parametrize("case", ALL, ids=lambda case: case.__name__)
 def test_gpu_variants(case, warp_as_on_gpus, spec, dtype, rng):
     assert_same(case(rng, dtype), warp_as_on_gpus, spec)
 
@@ -81,9 +82,10 @@ def test_render_adjoint_as_on_gpus(parameters, sigma, warp_as_on_gpus, spec, dty
 
 
 @pytest.mark.usefixtures("warp_as_on_gpus")
+@pytest.mark.parametrize("sides", SIDES, ids=str)
 @pytest.mark.parametrize("tilt", [False, True])
-def test_align_as_on_gpus(tilt, dtype):
-    options = {"max_iterations": 3, "tolerance": 0.0}
+def test_align_as_on_gpus(tilt, sides, dtype):
+    options = {"max_iterations": 3, "tolerance": 0.0, "sides": sides}
     poses, values = align("warp", dtype, tilt, **options)
     expected, expected_values = align("numpy", dtype, tilt, **options)
     assert_close(poses, expected, EXACT[np.dtype(dtype)])

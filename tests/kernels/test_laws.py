@@ -9,6 +9,7 @@ import evqr_kernels
 
 from . import cases
 from .helpers import assert_close, filled
+from .references import code_model
 
 
 @given(dx=st.integers(-4, 4), dy=st.integers(-4, 4))
@@ -161,29 +162,55 @@ def test_moments_of_no_points(placed, dtype, rng):
     np.testing.assert_array_equal(call.run(placed)[0], 0)
 
 
-def test_right_hand_side_is_the_transpose_of_the_model(dtype, rng):
+@pytest.mark.parametrize("shape", [(9, 9), (7, 13), (12, 5)], ids=str)
+def test_right_hand_side_is_the_transpose_of_the_model(shape, dtype, rng):
     """<A q, E> == <q, A^T E> with A written out from its definition."""
-    modules, samples = 9, 4
+    samples = 4
     profile, slope = rng.normal(size=(2, 5 * samples))
-    count = modules * samples
-    model = np.zeros((count, modules)), np.zeros((count, modules))
-    for matrix, along in zip(model, (profile, slope), strict=True):
-        for j in range(modules):
-            for k in range(5 * samples):
-                if 0 <= (row := (j - 2) * samples + k) < count:
-                    matrix[row, j] = along[k]
-    gain, q, image = (
-        rng.normal(size=2),
-        rng.normal(size=(modules, modules)),
-        rng.normal(size=(1, count, count)),
-    )
-    b, slope_b = model
-    a_q = gain[0] * b @ q @ slope_b.T + gain[1] * slope_b @ q @ b.T
+    down, across = (size * samples for size in shape)
+    gain, q, image = rng.normal(size=2), rng.normal(size=shape), rng.normal(size=(1, down, across))
+    a_q = (code_model(profile, slope, gain, shape, samples) @ q.ravel()).reshape(down, across)
     # each lattice point looks at one pixel; the last row and column lie on the border, which is outside
     image[:, -1], image[:, :, -1] = 0, 0
-    lattice = (np.arange(count) + 0.5) / samples
+    lattices = [(np.arange(count) + 0.5) / samples for count in (across, down)]
     pose = np.array([[samples, 0, -0.5, 0, samples, -0.5, 0, 0, 1.0]])
-    arrays = [image, pose, lattice, profile, slope, gain[None]]
+    arrays = [image, pose, *lattices, profile, slope, gain[None]]
     rhs = evqr_kernels.code_rhs(*(a.astype(dtype) for a in arrays), samples_a_module=samples)
     size = np.linalg.norm(a_q) * np.linalg.norm(image)
-    assert abs(np.vdot(a_q, image) - np.vdot(q, rhs[0])) < (1e-5 if dtype == np.float32 else 1e-12) * size
+    assert abs(np.vdot(a_q, image[0]) - np.vdot(q, rhs[0])) < (1e-5 if dtype == np.float32 else 1e-12) * size
+
+
+sides = st.integers(1, 11)
+
+
+@given(rows=sides, columns=sides, seed=st.integers(0, 99))
+def test_a_code_on_its_side_has_its_equations_on_their_side(rows, columns, seed):
+    """u and v, x and y change places in all that goes in, and so they do in what comes out."""
+    inputs = cases.code_rhs(np.random.default_rng(seed), np.float64, (rows, columns)).inputs
+    image, pose, across, down, profile, slope, gain, samples = inputs
+    swap = [1, 0, 2]
+    turned_pose = pose.reshape(-1, 3, 3)[:, swap][:, :, swap].reshape(-1, 9)
+    turned = [np.ascontiguousarray(image.transpose(0, 2, 1)), np.ascontiguousarray(turned_pose), down, across]
+    turned += [profile, slope, np.ascontiguousarray(gain[:, ::-1])]
+    stencil, rhs = evqr_kernels.code_normal_equations(*inputs[:7], samples_a_module=samples)
+    other_stencil, other_rhs = evqr_kernels.code_normal_equations(*turned, samples_a_module=samples)
+    assert_close(other_stencil, stencil.transpose(0, 2, 1))
+    assert_close(other_rhs, rhs.transpose(0, 2, 1), 1e-11)
+
+
+@given(rows=sides, columns=sides, seed=st.integers(0, 99))
+def test_a_code_on_its_side_has_its_modules_on_their_side(rows, columns, seed):
+    rhs, stencil, damping, free, start = cases.system(
+        np.random.default_rng(seed), np.float64, (rows, columns)
+    )
+
+    def turned(array):
+        return np.ascontiguousarray(np.swapaxes(array, -1, -2))
+
+    upright = rhs, stencil, damping, free, start
+    other = turned(rhs), turned(stencil), damping, turned(free), turned(start)
+    banded = evqr_kernels.solve_code_banded(*upright)
+    assert_close(evqr_kernels.solve_code_banded(*other), turned(banded), 1e-9)
+    options = {"max_iterations": 400, "tolerance": 1e-12}
+    for arguments, expected in ((upright, banded), (other, turned(banded))):
+        assert_close(evqr_kernels.solve_code(*arguments, **options)[0], expected, 1e-9)

@@ -55,19 +55,22 @@ GOOD = {
     ),
     "align_poses": (
         [f32(B, Y, X), np.zeros(3, np.int32), f32(3, 9) + 1, f32(20, 2), TABLE, *TERMS],
-        {"centre": 0.0, "scale": 1.0},
+        {"centre": (0.0, 0.0), "scale": (1.0, 1.0)},
     ),
-    "code_rhs": ([f32(B, Y, X), f32(B, 9), f32(14), f32(10), f32(10), f32(B, 2)], {"samples_a_module": 2}),
-    "solve_code": ([f32(B, 7, 7), f32(B, 5, 5), f32(B) + 1, np.ones((7, 7), np.int32), f32(B, 7, 7)], {}),
-    "pose_normal_equations": ([f32(3, 5) + 1, np.eye(4, dtype=np.float32), *TERMS], {}),
-    "code_normal_equations": (
-        [f32(B, Y, X), f32(B, 9), f32(14), f32(10) + 1, f32(10) + 1, f32(B, 2) + 1],
+    "code_rhs": (
+        [f32(B, Y, X), f32(B, 9), f32(14), f32(6), f32(10), f32(10), f32(B, 2)],
         {"samples_a_module": 2},
     ),
-    "code_product": ([f32(B, 7, 7) + 1, f32(B, 5, 5), f32(B) + 1, np.ones((7, 7), np.int32)], {}),
-    "pull_modules": ([f32(B, 7, 7), f32(B, 7, 7), f32(B) + 1], {"certainty": 2.0}),
+    "solve_code": ([f32(B, 3, 7), f32(B, 5, 5), f32(B) + 1, np.ones((3, 7), np.int32), f32(B, 3, 7)], {}),
+    "pose_normal_equations": ([f32(3, 5) + 1, np.eye(4, dtype=np.float32), *TERMS], {}),
+    "code_normal_equations": (
+        [f32(B, Y, X), f32(B, 9), f32(14), f32(6), f32(10) + 1, f32(10) + 1, f32(B, 2) + 1],
+        {"samples_a_module": 2},
+    ),
+    "code_product": ([f32(B, 3, 7) + 1, f32(B, 5, 5), f32(B) + 1, np.ones((3, 7), np.int32)], {}),
+    "pull_modules": ([f32(B, 3, 7), f32(B, 3, 7), f32(B) + 1], {"certainty": 2.0}),
     "solve_code_banded": (
-        [f32(B, 7, 7) + 1, f32(B, 5, 5), f32(B) + 1, np.ones((7, 7), np.int32), f32(B, 7, 7)],
+        [f32(B, 3, 7) + 1, f32(B, 5, 5), f32(B) + 1, np.ones((3, 7), np.int32), f32(B, 3, 7)],
         {},
     ),
     "render_code": ([f32(B, 6, 5), f32(B, 6), f32(B)], {"shape": (Y, X)}),
@@ -197,7 +200,7 @@ def test_without_a_mask_all_pixels_count(rng):
 
 
 def test_inputs_are_left_alone():
-    start = np.ones((B, 7, 7), np.float32)
+    start = np.ones((B, 3, 7), np.float32)
     q, iterations = call("solve_code", arg0=start + 1, arg1=np.ones((B, 1, 1), np.float32), arg4=start)
     np.testing.assert_array_equal(start, 1)
     np.testing.assert_allclose(q, -1)
@@ -341,6 +344,16 @@ BAD = [
     ),
     ("align_poses", {"arg5": np.zeros((9, 4), np.int32)}, ValueError, "factors must have shape (P + 2, 4)"),
     ("align_poses", {"arg5": np.full((8, 4), 4, np.int32)}, ValueError, "terms must be 0 to 3, got 4 to 4"),
+    ("align_poses", {"centre": 0.5}, ValueError, "centre must be two numbers, along u and v, got 0.5"),
+    ("align_poses", {"scale": (1.0,)}, ValueError, "scale must be two numbers, along u and v, got (1.0,)"),
+    ("code_rhs", {"arg2": f32(7, 2)}, ValueError, "lattice_u must have shape (S,), got (7, 2)"),
+    ("code_rhs", {"arg3": f32(3, 2)}, ValueError, "lattice_v must have shape (T,), got (3, 2)"),
+    (
+        "solve_code",
+        {"arg3": np.ones((7, 3), np.int32)},
+        ValueError,
+        "free must have shape (V, U) with V = 3, U = 7",
+    ),
     ("code_rhs", {"samples_a_module": 0}, ValueError, "samples_a_module must be at least 1, got 0"),
     (
         "pose_normal_equations",

@@ -58,9 +58,11 @@ def test_correlation_at_any_radius(radius, shape, placed, spec, dtype, rng):
         assert_close(got, want)
 
 
-@pytest.mark.parametrize("modules", [1, 3, 7, 8, 9, 25])
-def test_right_hand_side_at_any_size(modules, placed, spec, dtype, rng):
-    call = cases.code_rhs(rng, dtype, modules=modules)
+@pytest.mark.parametrize(
+    "shape", [*((n, n) for n in (1, 3, 7, 8, 9, 25)), (1, 8), (8, 1), (7, 25), (25, 7)], ids=str
+)
+def test_right_hand_side_at_any_size(shape, placed, spec, dtype, rng):
+    call = cases.code_rhs(rng, dtype, shape)
     assert_close(*call.run(placed), *call.run(spec))
 
 
