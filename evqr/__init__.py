@@ -28,7 +28,7 @@ if TYPE_CHECKING:
         TrackConfig,
         Vote,
     )
-    from evqr.errors import BackendError, EvqrError, MissingExtra, RecordingError, UsageError
+    from evqr.errors import BackendError, EvqrError, MissingExtra, RecordingError, StreamChoice, UsageError
     from evqr.events.array import EventArray
     from evqr.events.buffer import EventBuffer
     from evqr.events.window import Window
@@ -43,6 +43,7 @@ if TYPE_CHECKING:
         EventCounts,
         Recording,
         RecordingInfo,
+        RecordingOptions,
         TimeUnit,
         open_recording,
         save_recording,
@@ -83,10 +84,12 @@ __all__ = [
     "Recording",
     "RecordingError",
     "RecordingInfo",
+    "RecordingOptions",
     "SchedulerConfig",
     "SearchPass",
     "Solver",
     "Statistics",
+    "StreamChoice",
     "Symbology",
     "Target",
     "TimeUnit",
@@ -125,6 +128,7 @@ _HOME = {
         "EvqrError",
         "MissingExtra",
         "RecordingError",
+        "StreamChoice",
         "UsageError",
     ),
     "evqr.events.array": ("EventArray",),
@@ -135,16 +139,23 @@ _HOME = {
         "NotFound",
         "Target",
     ),
-    "evqr.fit.modules": ("CodeEstimate", "NormalEquations"),
+    "evqr.fit.modules": (
+        "CodeEstimate",
+        "NormalEquations",
+    ),
     "evqr.many": ("read_many",),
     "evqr.motion": ("Motion",),
-    "evqr.offline": ("read_codes", "read_windows"),
+    "evqr.offline": (
+        "read_codes",
+        "read_windows",
+    ),
     "evqr.output.picture": ("draw_reading",),
     "evqr.reason": ("Reason",),
     "evqr.recording": (
         "EventCounts",
         "Recording",
         "RecordingInfo",
+        "RecordingOptions",
         "TimeUnit",
         "open_recording",
         "save_recording",

@@ -4,6 +4,7 @@
 |---|---|---|
 | `EvqrError` | base of all below | catch it to go on with the next recording |
 | `RecordingError` | a recording that cannot be read | its message says where, and the way out |
+| `StreamChoice` | a recording with several streams | name one of its `StreamChoice.streams` |
 | `MissingExtra` | a format or an option needs an optional package | run the pip command in the message |
 | `UsageError` | an option, or a combination of options, makes no sense | change it as the message says |
 | `BackendError` | there is no such backend or device on this machine | choose one that the message names |

@@ -33,20 +33,20 @@ def read_many(
 
     Parameters
     ----------
-    sources
+    sources : iterable
         What `read_codes` takes: paths, event arrays, ...  They travel to the workers of ``executor``: on
         other machines, a path must lead to the same file.
-    executor
-        Any `concurrent.futures.Executor`, Dask's ``client.get_executor()`` included; the caller closes it.
-        None: in this thread, one by one.
-    config, backend, device, threads, opening
-        As for `read_codes`, the same for every source.
+    executor : concurrent.futures.Executor, optional
+        Any, Dask's ``client.get_executor()`` included; the caller closes it.  None: in this thread, one by
+        one.
+    config, backend, device, threads, **opening : as for `read_codes`
+        The same for every source.
 
     Yields
     ------
-    ReadResult
+    result : ReadResult
         In the order of ``sources``, each as soon as it and those before it are done.  Status ERROR, with the
-        message as ``reason``, where a source could not be read or its worker was lost.
+        message as ``reason`` and a ``reason_code``, where a source could not be read or its worker was lost.
     """
     read = partial(
         _read_one,

@@ -114,7 +114,7 @@ def test_a_type_that_is_not_public_is_found():
 
     (found,) = [set(types_in(text)) for _, text in list(annotations_of(function))[:1]]
     assert found == {"Window"} and "Window" in OWN
-    assert "_CorrectedBlock" in OWN and "_CorrectedBlock" not in PUBLIC
+    assert "StageClock" in OWN and "StageClock" not in PUBLIC
 
 
 def test_there_is_one_place_for_each_name():

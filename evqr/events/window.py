@@ -17,10 +17,13 @@ class Window:
 
     Attributes
     ----------
-    events             as recorded, in order of time
-    start_us, end_us   bounds, the end not included [us]
-    origin             the stream that the events were cut from, and the number of the first of them there:
-                       windows that share it share their first events.  None: unknown
+    events : EventArray
+        As recorded, in order of time.
+    start_us, end_us : int [us]
+        Bounds, the end not included.
+    origin : (object, int), optional
+        The stream that the events were cut from, and the number of the first of them there: windows that
+        share it share their first events. None: unknown.
     """
 
     def __init__(

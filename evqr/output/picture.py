@@ -65,8 +65,10 @@ def save_picture(
 
     Raises
     ------
-    MissingExtra  matplotlib is not installed
-    UsageError    the ending names no picture format, or the file cannot be written
+    MissingExtra
+        Matplotlib is not installed.
+    UsageError
+        The ending names no picture format, or the file cannot be written.
     """
     require_drawable(path)
     figure = draw_reading(events, reading, truth=truth)
@@ -99,9 +101,9 @@ def draw_reading(
 
     Parameters
     ----------
-    events
+    events : EventArray
         Events that hold `span_us` of the reading; others are not shown.
-    reading
+    reading : CodeReading
         What to show.
     truth : (r, r) int8, optional
         True modules, -1 dark, +1 light; None: the modules as decoded.
@@ -115,8 +117,10 @@ def draw_reading(
 
     Raises
     ------
-    MissingExtra  matplotlib is not installed
-    ValueError    ``truth`` has another shape than the estimate
+    MissingExtra
+        Matplotlib is not installed.
+    ValueError
+        ``truth`` has another shape than the estimate.
     """
     make_figure = figure_class()
     if truth is not None and truth.shape != reading.estimate.shape:

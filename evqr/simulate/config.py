@@ -29,15 +29,24 @@ class CodePlacement:
 
     Attributes
     ----------
-    text        payload, not empty
-    symbology   "QRCode" or "MicroQRCode", in any case
-    version     1 to 40, or M1 to M4; None: the smallest that holds the text
-    ec          error correction level "L", "M", "Q" or "H"; M1 has none
-    mask        0 to 7, or 0 to 3; None: chosen as the standard says
-    module_px   width of a module [px], 1 to 100
-    angle       of the code's u axis against the image's x axis, towards +y [deg]
-    offset_px   of the code's centre from the object's centre: along the travel, across it [px]
-    invert      print light on dark
+    text : str
+        Payload, not empty.
+    symbology : Symbology or str
+        "QRCode" or "MicroQRCode", in any case.
+    version : Version, optional
+        1 to 40, or M1 to M4; None: the smallest that holds the text.
+    ec : EcLevel
+        Error correction level "L", "M", "Q" or "H"; M1 has none.
+    mask : int, optional
+        0 to 7, or 0 to 3; None: chosen as the standard says.
+    module_px : float [px]
+        Width of a module, 1 to 100.
+    angle : float [deg]
+        Of the code's u axis against the image's x axis, towards +y.
+    offset_px : (float, float) [px]
+        Of the code's centre from the object's centre: along the travel, across it.
+    invert : bool
+        Print light on dark.
     """
 
     text: str
@@ -73,20 +82,32 @@ class SceneConfig:
 
     Attributes
     ----------
-    codes          printed on the object; none: barcodes, text and boxes that are no code instead
-    width, height  of the sensor [px]
-    direction      of travel in the image, from +x towards +y [deg]
-    speed_px_ms    speed at the centre of the view [px/ms], above 0
-    start          (x, y) of the object's centre at t = 0 [px]; None: half of the travel puts it at the centre
-                   of the view
-    duration_us    length of the recording [us]; None: 40 px of travel, or the whole passage of several codes
-                   that the view does not hold together
-    tilt           of the object's plane against the image plane [deg], below 60
-    tilt_axis      the axis it is tilted about, an angle in the image [deg]
-    focal_px       focal length, which says how strong the perspective of a tilt is [px]
-    white, black   light from the code's light and dark modules, relative to full light, 0 to 1
-    psf_px         standard deviation of the optics' and the pixel's blur [px], at least 0.3
-    seed           of textures and noise
+    codes : tuple of CodePlacement
+        Printed on the object; none: barcodes, text and boxes that are no code instead.
+    width, height : int [px]
+        Of the sensor.
+    direction : float [deg]
+        Of travel in the image, from +x towards +y.
+    speed_px_ms : float [px/ms]
+        Speed at the centre of the view, above 0.
+    start : (float, float) [px], optional
+        (x, y) of the object's centre at t = 0; None: half of the travel puts it at the centre of the
+        view.
+    duration_us : int [us], optional
+        Length of the recording; None: 40 px of travel, or the whole passage of several codes that
+        the view does not hold together.
+    tilt : float [deg]
+        Of the object's plane against the image plane, below 60.
+    tilt_axis : float [deg]
+        The axis it is tilted about, an angle in the image.
+    focal_px : float [px]
+        Focal length, which says how strong the perspective of a tilt is.
+    white, black : float
+        Light from the code's light and dark modules, relative to full light, 0 to 1.
+    psf_px : float [px]
+        Standard deviation of the optics' and the pixel's blur, at least 0.3.
+    seed : int
+        Of textures and noise.
     """
 
     codes: tuple[CodePlacement, ...] = ()
@@ -128,21 +149,36 @@ class SensorConfig:
 
     Attributes
     ----------
-    threshold           log-intensity step of an ON event, mean over the pixels [log units]
-    off_to_on           mean OFF threshold over mean ON threshold
-    threshold_spread    standard deviation of both over the pixels [log units]
-    tau_us              time constant of the photoreceptor at full light (1.0) [us]; 0: no lag
-    tau_follows_light   time constant inversely proportional to the light: dark pixels are slow
-    refractory_us       time a pixel is held in reset after an event [us]
-    leak_hz             ON events a second and pixel that the leaking reference causes [Hz]
-    background_hz       background activity: random events a second and pixel, both polarities alike [Hz]
-    hot_fraction        share of the pixels that are hot
-    hot_hz              random events a second of a hot pixel, all of one polarity [Hz]
-    drop_rate           share of the events that is lost
-    jitter_us           standard deviation of the time stamps [us]
-    row_scan_us         time to scan all rows once; an event leaves when its row is next read [us]; 0: at once
-    readout_meps        events the readout carries [million a second]; 0: any number
-    readout_queue_us    events wait for the readout about this long before they are lost [us]
+    threshold : float [log units]
+        Log-intensity step of an ON event, mean over the pixels.
+    off_to_on : float
+        Mean OFF threshold over mean ON threshold.
+    threshold_spread : float [log units]
+        Standard deviation of both over the pixels.
+    tau_us : float [us]
+        Time constant of the photoreceptor at full light (1.0); 0: no lag.
+    tau_follows_light : bool
+        Time constant inversely proportional to the light: dark pixels are slow.
+    refractory_us : float [us]
+        Time a pixel is held in reset after an event.
+    leak_hz : float [Hz]
+        ON events a second and pixel that the leaking reference causes.
+    background_hz : float [Hz]
+        Background activity: random events a second and pixel, both polarities alike.
+    hot_fraction : float
+        Share of the pixels that are hot.
+    hot_hz : float [Hz]
+        Random events a second of a hot pixel, all of one polarity.
+    drop_rate : float
+        Share of the events that is lost.
+    jitter_us : float [us]
+        Standard deviation of the time stamps.
+    row_scan_us : float [us]
+        Time to scan all rows once; an event leaves when its row is next read; 0: at once.
+    readout_meps : float [million/s]
+        Events the readout carries; 0: any number.
+    readout_queue_us : float [us]
+        Events wait for the readout about this long before they are lost.
     """
 
     threshold: float = 0.2

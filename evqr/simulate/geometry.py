@@ -94,11 +94,16 @@ class Motion:
 
     Attributes
     ----------
-    plane_to_image : (3, 3)
-    direction : float            of travel in the plane [deg]
-    start : (2,)                 the object's centre at t = 0, in the plane [px]
-    speed : float                [px/us]
-    duration_us : int            length of the recording
+    plane_to_image : (3, 3) float64
+        Map of the object's plane to the image, both in px.
+    direction : float [deg]
+        Of travel in the plane.
+    start : (2,) float64 [px]
+        The object's centre at t = 0, in the plane.
+    speed : float [px/us]
+        Of travel in the plane.
+    duration_us : int [us]
+        Length of the recording.
     """
 
     plane_to_image: Matrix

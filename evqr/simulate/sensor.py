@@ -31,8 +31,10 @@ class RawEvents:
 
     Attributes
     ----------
-    t : (E,) float64 [us]     0 at the start of the recording; negative in the run-in
-    address : (E,) int64      2 (y width + x) + (1 if brighter)
+    t : (E,) float64 [us]
+        0 at the start of the recording; negative in the run-in.
+    address : (E,) int64
+        2 (y width + x) + (1 if brighter).
     """
 
     t: NDArray[np.float64]

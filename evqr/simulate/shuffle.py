@@ -12,6 +12,18 @@ def shuffled(events: EventArray, seed: int = 0) -> EventArray:
 
     Each pixel keeps its own series of times and polarities, so rates, noise and hot pixels stay as they are;
     edges and their motion are gone.
+
+    Parameters
+    ----------
+    events : EventArray
+        Of any sensor.
+    seed : int
+        Of the permutation.
+
+    Returns
+    -------
+    events : EventArray
+        As many, in the same order of time.
     """
     target = np.random.default_rng(seed).permutation(events.width * events.height)
     where = target[events.y.astype(np.int64) * events.width + events.x]

@@ -31,9 +31,14 @@ class Simulation:
 
     Attributes
     ----------
-    events : EventArray    t from 0 to below the duration
-    truth                  "truth", "truth2", ..., one a code, to its fields (`truth_of`); empty without codes
-    scene, sensor          what was simulated
+    events : EventArray
+        Times from 0 to below the duration.
+    truth : mapping of str to mapping
+        "truth", "truth2", ..., one a code, to its fields (`truth_of`); empty without codes.
+    scene : SceneConfig
+        The scene that was simulated.
+    sensor : SensorConfig
+        The pixels that saw it.
     """
 
     events: EventArray
@@ -69,26 +74,34 @@ def simulate(
 
     Parameters
     ----------
-    text, symbology, version, ec, mask, angle, module_px, invert
-        the code, as in `CodePlacement`; several texts make as many codes, one behind the other
-    direction, tilt, duration_us, start, width, height, seed
-        the scene, as in `SceneConfig`
-    speed_px_ms
-        speed [px/ms]; None: the preset's, of `PRESET_SPEEDS_PX_MS` (4 for a sensor of your own)
-    preset
-        a name in `PRESETS`, or a sensor
-    code
-        False: no code, but things that look a little like one
-    codes
-        codes on the object, in place of those that the arguments above describe
-    threads
-        number of threads; None: one a core, at most 8.  The result does not depend on it.
+    text : str or sequence of str
+        What the code says; several make as many codes, one behind the other.
+    symbology, version, ec, mask, angle, module_px, invert : as in `CodePlacement`
+        Of the codes.
+    direction, tilt, duration_us, start, width, height, seed : as in `SceneConfig`
+        Of the scene.
+    speed_px_ms : float [px/ms], optional
+        Speed in the image; None: the preset's, of `PRESET_SPEEDS_PX_MS`, that of "clean" for a sensor of your
+        own.
+    preset : str or SensorConfig
+        A name in `PRESETS`, or a sensor.
+    code : bool
+        False: no code, but things that look a little like one.
+    codes : sequence of CodePlacement, optional
+        Codes on the object, in place of those that the arguments above describe.
+    threads : int, optional
+        Number of threads; None: one a core, at most 8.  The result does not depend on it.
+
+    Returns
+    -------
+    simulation : Simulation
+        Events and truth.
 
     Raises
     ------
     UsageError
-        for values out of range, a text that its version cannot hold, a code larger than the view, codes that
-        overlap
+        For values out of range, a text that its version cannot hold, a code larger than the view, codes that
+        overlap.
     """
     sensor = sensor_of(preset)
     if speed_px_ms is None:
@@ -121,7 +134,22 @@ def simulate(
 
 
 def simulate_scene(scene: SceneConfig, sensor: SensorConfig, *, threads: int | None = None) -> Simulation:
-    """Simulate a scene in front of a sensor; see `simulate`."""
+    """Simulate a scene in front of a sensor.
+
+    Parameters
+    ----------
+    scene : SceneConfig
+        The object, its codes and how it moves.
+    sensor : SensorConfig
+        The pixels that see it.
+    threads : int, optional
+        Number of threads; None: one a core, at most 8.  The result does not depend on it.
+
+    Returns
+    -------
+    simulation : Simulation
+        Events and truth.
+    """
     symbols = [make_symbol(placement) for placement in scene.codes]
     motion = plan_motion(scene, symbols)
     # Streams of their own, so that a change of the sensor leaves the scene as it is.

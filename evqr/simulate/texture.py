@@ -34,10 +34,12 @@ class Texture:
 
     Attributes
     ----------
-    light : (V, U) float32        of the object times its coverage; row across, column along the travel
-    cover_along : (U,) float32    factors of the coverage: 1 inside the object, 0 outside
-    cover_across : (V,) float32
-    origin : (2,) float64         (column, row) of the object's centre
+    light : (V, U) float32
+        Of the object times its coverage; row across, column along the travel.
+    cover_along, cover_across : (U,) and (V,) float32
+        Factors of the coverage: 1 inside the object, 0 outside.
+    origin : (2,) float64
+        (column, row) of the object's centre.
     """
 
     light: Image

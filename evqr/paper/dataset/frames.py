@@ -22,8 +22,10 @@ def render_frames(scene: SceneConfig, camera: CameraConfig) -> tuple[NDArray[np.
 
     Returns
     -------
-    t_us : (N,) int64              middles of the exposures, of the frames that end before the scene does
-    frames : (N, height, width) uint8
+    t_us : (N,) int64 [us]
+        Middles of the exposures, of the frames that end before the scene does.
+    frames : (N, Y, X) uint8
+        Grey levels.
     """
     symbols = [make_symbol(placement) for placement in scene.codes]
     motion = plan_motion(scene, symbols)

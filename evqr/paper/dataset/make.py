@@ -41,13 +41,21 @@ def make_dataset(
 
     Parameters
     ----------
-    executor   any `concurrent.futures.Executor`; None: in this thread
-    progress   called with the name of each scene that is done
+    folder : Path
+        Where the recordings and the manifest go.
+    specs : iterable of SceneSpec
+        What is to be made.
+    executor : Executor, optional
+        Any `concurrent.futures.Executor`; None: in this thread.
+    progress : callable, optional
+        Called with the name of each scene that is done.
 
     Raises
     ------
-    RecordingError   a file cannot be written
-    UsageError       a text does not fit its code
+    RecordingError
+        A file cannot be written.
+    UsageError
+        A text does not fit its code.
     """
     specs = list(specs)
     for spec in specs:  # before an hour of work is done

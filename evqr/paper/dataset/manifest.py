@@ -42,18 +42,32 @@ class Entry:
 
     Attributes
     ----------
-    name               of the recording, unique
-    scene              of the table: recordings of one scene at several angles make one block
-    angle              of the code against the direction of travel [deg]
-    recording          file, relative to the manifest
-    text               that the code says
-    version, level     of the symbol
-    window_us          length of a window [us]
-    mask               of the symbol; None: as segno chooses
-    modules            of the symbol, rows of "0" and "1", 1 dark; None: segno's
-    start_us, end_us   event times between which windows are taken; None: the first and the last [us]
-    sensor             (width, height) where the recording does not tell
-    time_unit          of the recording where it does not tell
+    name : str
+        Of the recording, unique.
+    scene : str
+        Of the table: recordings of one scene at several angles make one block.
+    angle : float [deg]
+        Of the code against the direction of travel.
+    recording : str
+        File, relative to the manifest.
+    text : str
+        That the code says.
+    version : int
+        Of the symbol, 1 to 40.
+    level : "L", "M", "Q" or "H"
+        Error correction of the symbol.
+    window_us : int [us]
+        Length of a window.
+    mask : int, optional
+        Of the symbol; None: as segno chooses.
+    modules : tuple of str, optional
+        Of the symbol, rows of "0" and "1", 1 dark; None: segno's.
+    start_us, end_us : int [us], optional
+        Event times between which windows are taken; None: the first and the last.
+    sensor : (int, int), optional
+        (width, height) where the recording does not tell.
+    time_unit : TimeUnit, optional
+        Of the recording where it does not tell.
     """
 
     name: str
@@ -101,13 +115,20 @@ class Sequence:
 
     Attributes
     ----------
-    entry
-    truth
+    entry : Entry
+        Its line in the manifest.
+    truth : Truth
+        What the code says.
     events : EventArray
-    frames : (N, Y, X) uint8   of a camera; N is 0 without one
-    frame_t_us : (N,)          middles of their exposures [us]
-    pose_t_us : (K,)           times of the true poses [us]; K is 0 where they are not known
-    poses : (K, 3, 3)          code coordinates to px
+        All of them.
+    frames : (N, Y, X) uint8
+        Of a camera; N is 0 without one.
+    frame_t_us : (N,) int64 [us]
+        Middles of their exposures.
+    pose_t_us : (K,) int64 [us]
+        Times of the true poses; K is 0 where they are not known.
+    poses : (K, 3, 3) float64
+        Code coordinates to px.
     """
 
     entry: Entry
@@ -164,7 +185,8 @@ def load_manifest(folder: Path) -> list[Entry]:
 
     Raises
     ------
-    UsageError   there is none, or it does not say what it must
+    UsageError
+        There is none, or it does not say what it must.
     """
     path = folder / MANIFEST
     try:
@@ -225,7 +247,8 @@ def load_sequence(folder: Path, entry: Entry) -> Sequence:
 
     Raises
     ------
-    RecordingError   the recording cannot be read
+    RecordingError
+        The recording cannot be read.
     """
     path = folder / entry.recording
     with open_recording(path, sensor=entry.sensor, time_unit=entry.time_unit) as recording:

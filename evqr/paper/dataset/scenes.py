@@ -39,10 +39,14 @@ class CameraConfig:
 
     Attributes
     ----------
-    fps           frames a second
-    exposure_us   time over which a frame collects light [us]
-    read_noise    standard deviation of a pixel [grey levels of 255]
-    white         grey level of full light
+    fps : float
+        Frames a second.
+    exposure_us : int [us]
+        Time over which a frame collects light.
+    read_noise : float [grey levels of 255]
+        Standard deviation of a pixel.
+    white : float
+        Grey level of full light.
     """
 
     fps: float
@@ -57,13 +61,20 @@ class SceneKind:
 
     Attributes
     ----------
-    name
-    windows       N of the paper: windows in which the code is in view
-    window_us     dt of the paper [us]
-    speed_px_ms   [px/ms]
-    module_px     [px]
-    sensor        of the events
-    camera        of the frames
+    name : str
+        As in the paper's table.
+    windows : int
+        N of the paper: windows in which the code is in view.
+    window_us : int [us]
+        Dt of the paper.
+    speed_px_ms : float [px/ms]
+        Of the code in the image.
+    module_px : float [px]
+        Width of a module in the image.
+    sensor : SensorConfig
+        Of the events.
+    camera : CameraConfig
+        Of the frames.
     """
 
     name: str
@@ -112,12 +123,18 @@ class SceneSpec:
 
     Attributes
     ----------
-    kind
-    angle     of the code against the direction of travel [deg]
-    text
-    letter    of the text among those of the data set
-    windows   simulated, around the middle of the passage; the kind's own number is the whole passage
-    seed      of texture and noise
+    kind : SceneKind
+        Of which the scene is one.
+    angle : int [deg]
+        Of the code against the direction of travel.
+    text : str
+        What the code says.
+    letter : str
+        Of the text among those of the data set.
+    windows : int
+        Simulated, around the middle of the passage; the kind's own number is the whole passage.
+    seed : int
+        Of texture and noise.
     """
 
     kind: SceneKind
@@ -157,13 +174,17 @@ def scenes(
 
     Parameters
     ----------
-    most_windows   simulate no more windows than this; None: the whole passage
-    texts          up to 26
-    seed           of the first scene; those of the others follow
+    most_windows : int, optional
+        Simulate no more windows than this; None: the whole passage.
+    texts : sequence of str
+        Up to 26.
+    seed : int
+        Of the first scene; those of the others follow.
 
     Raises
     ------
-    UsageError   more texts than letters to name them by
+    UsageError
+        More texts than letters to name them by.
     """
     if len(texts) > len(ascii_lowercase):
         raise UsageError(f"dataset: {len(texts)} texts are too many; give up to {len(ascii_lowercase)}")

@@ -16,9 +16,12 @@ class Truth:
 
     Attributes
     ----------
-    text
-    modules : (r, r) int8    -1 dark, +1 light
-    known : (r, r) bool      fixed by the version, so that they do not count
+    text : str
+        What the code says.
+    modules : (r, r) int8
+        -1 dark, +1 light.
+    known : (r, r) bool
+        Fixed by the version, so that they do not count.
     """
 
     text: str

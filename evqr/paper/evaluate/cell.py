@@ -42,12 +42,18 @@ class Cell:
 
     Attributes
     ----------
-    recording   name in the manifest
-    method      name in `METHODS`
-    trials      windows or frames, spread evenly over the recording; None: all
-    stretch     length of the windows, of the manifest's
-    keep        share of the events that is kept, at random
-    quick       whether methods that take long give up earlier
+    recording : str
+        Name in the manifest.
+    method : str
+        Name in `METHODS`.
+    trials : int, optional
+        Windows or frames, spread evenly over the recording; None: all.
+    stretch : float
+        Length of the windows, of the manifest's.
+    keep : float
+        Share of the events that is kept, at random.
+    quick : bool
+        Whether methods that take long give up earlier.
     """
 
     recording: str
@@ -74,13 +80,20 @@ class CellResult:
 
     Attributes
     ----------
-    cell
-    entry      of the manifest
-    trials
-    picture    (Y, X) uint8, what the method saw or made of the middle trial, around the code; None without
-    speed_px_ms   true speed of the code [px/ms], 0 where it is not known
-    machine    where it was computed
-    source     what computed it
+    cell : Cell
+        What was computed.
+    entry : Entry
+        Of the manifest.
+    trials : tuple of Trial
+        In order of time.
+    picture : (Y, X) uint8, optional
+        What the method saw or made of the middle trial, around the code; None without.
+    speed_px_ms : float [px/ms]
+        True speed of the code, 0 where it is not known.
+    machine : str
+        Where it was computed.
+    source : str
+        What computed it.
     """
 
     cell: Cell
@@ -202,15 +215,22 @@ def run_cells(
 
     Parameters
     ----------
-    dataset    folder with a manifest
-    kept       folder of the cells' files
-    executor   any `concurrent.futures.Executor`, Dask's ``client.get_executor()`` included, whose workers see
-               ``dataset`` under the same path; None: in this thread
-    progress   called with each cell that is there
+    dataset : Path
+        Folder with a manifest.
+    cells : iterable of Cell
+        What is to be computed; those that are kept already are not computed again.
+    kept : Path
+        Folder of the cells' files.
+    executor : Executor, optional
+        Any `concurrent.futures.Executor`, Dask's ``client.get_executor()`` included, whose workers see
+        ``dataset`` under the same path; None: in this thread.
+    progress : callable, optional
+        Called with each cell that is there.
 
     Raises
     ------
-    UsageError   a cell names a recording that the manifest does not have
+    UsageError
+        A cell names a recording that the manifest does not have.
     """
     kept.mkdir(parents=True, exist_ok=True)
     entries = {entry.name: entry for entry in load_manifest(dataset)}

@@ -31,8 +31,10 @@ class Details:
 
     Attributes
     ----------
-    told   what it is
-    rows   headings first
+    told : str
+        What it is.
+    rows : list of list of str
+        Headings first.
     """
 
     told: str

@@ -39,12 +39,15 @@ def figures_of(table: Sequence[CellResult], sweep: Sequence[CellResult]) -> Mapp
 
     Parameters
     ----------
-    table   cells of the table
-    sweep   cells with other windows, or with fewer events
+    table : sequence of CellResult
+        Cells of the table.
+    sweep : sequence of CellResult
+        Cells with other windows, or with fewer events.
 
     Raises
     ------
-    MissingExtra   matplotlib is not installed
+    MissingExtra
+        Matplotlib is not installed.
     """
     everything, with_modules = [*table, *sweep], _with_modules(table)
     figures = {

@@ -25,22 +25,38 @@ class Trial:
 
     Attributes
     ----------
-    modules : (r, r) int8   -1 dark, +1 light, when it ended; None where no code was found
-    converged               whether it ended by its own criterion
-    text                    what it read when it ended; None when nothing
-    image_text              what an ordinary decoder read from its image; None when nothing
-    has_image               whether it gives an image at all
-    best_accuracy           bit accuracy of its best iterate; None where no code was found
-    iterations_to_read      of its first iterate that decodes to the true text, None where there is none
-    seconds_to_read         computing time to that iterate [s]
-    seconds                 computing time until it ended by its own criterion, or gave up [s]
-    windows                 windows of events that it needed
-    confidence              that its text is right, 0 to 1; None where it does not say
-    events_per_edge         events it had, over the edges between the code's modules (`edges_of`)
-    start                   which of several starts it took; None: it has one, or none was found
-    pose_iterations         before the iterates that count; None: none
-    iterations_to_few       of its first iterate with up to `FEW_WRONG` wrong codewords; None: there is none
-    search_seconds          of ``seconds_to_read``, spent on finding the code; None: no step apart
+    modules : (r, r) int8
+        -1 dark, +1 light, when it ended; None where no code was found.
+    converged : bool
+        Whether it ended by its own criterion.
+    text : str, optional
+        What it read when it ended; None when nothing.
+    image_text : str, optional
+        What an ordinary decoder read from its image; None when nothing.
+    has_image : bool
+        Whether it gives an image at all.
+    best_accuracy : float, optional
+        Bit accuracy of its best iterate; None where no code was found.
+    iterations_to_read : int, optional
+        Of its first iterate that decodes to the true text, None where there is none.
+    seconds_to_read : float [s], optional
+        Computing time to that iterate.
+    seconds : float [s]
+        Computing time until it ended by its own criterion, or gave up.
+    windows : int
+        Windows of events that it needed.
+    confidence : float, optional
+        That its text is right, 0 to 1; None where it does not say.
+    events_per_edge : float, optional
+        Events it had, over the edges between the code's modules (`edges_of`).
+    start : str, optional
+        Which of several starts it took; None: it has one, or none was found.
+    pose_iterations : int, optional
+        Before the iterates that count; None: none.
+    iterations_to_few : int, optional
+        Of its first iterate with up to `FEW_WRONG` wrong codewords; None: there is none.
+    search_seconds : float, optional
+        Of ``seconds_to_read``, spent on finding the code; None: no step apart.
     """
 
     modules: Modules | None = None
@@ -67,19 +83,32 @@ class Score:
 
     Attributes
     ----------
-    trials              N of the paper
-    found               trials in which a code was found and that converged
-    mode_accuracy       of the mode over the trials that converged
-    max_accuracy        of the best iterate of the best trial
-    seconds_to_read, iterations_to_read   means over the trials that read at some iterate
-    median_seconds_to_read                of the same trials
-    median_search_seconds                 part of it that is spent on finding the code
-    read_rate           of the trials that converged (the paper's)
-    yield_rate          of all trials
-    image_read_rate     of all trials, from the image, by an ordinary decoder
-    false_read_rate     trials that gave a wrong text, of all trials
-    seconds             mean computing time of a trial [s]
-    windows             mean number of windows of the trials that read
+    trials : int
+        N of the paper.
+    found : int
+        Trials in which a code was found and that converged.
+    mode_accuracy : float, optional
+        Of the mode over the trials that converged.
+    max_accuracy : float, optional
+        Of the best iterate of the best trial.
+    seconds_to_read, iterations_to_read : float, optional
+        Means over the trials that read at some iterate.
+    median_seconds_to_read : float, optional
+        Of the same trials.
+    median_search_seconds : float, optional
+        Part of it that is spent on finding the code.
+    read_rate : float, optional
+        Of the trials that converged (the paper's).
+    yield_rate : float, optional
+        Of all trials.
+    image_read_rate : float, optional
+        Of all trials, from the image, by an ordinary decoder.
+    false_read_rate : float, optional
+        Trials that gave a wrong text, of all trials.
+    seconds : float [s], optional
+        Mean computing time of a trial.
+    windows : float, optional
+        Mean number of windows of the trials that read.
     """
 
     trials: int
@@ -104,9 +133,12 @@ class Bin:
 
     Attributes
     ----------
-    low, high   bounds of the key, the upper one not included (but for the last interval)
-    count       how many
-    key, value  their means
+    low, high : float
+        Bounds of the key, the upper one not included (but for the last interval).
+    count : int
+        How many.
+    key, value : float
+        Their means.
     """
 
     low: float
@@ -161,7 +193,12 @@ def wrong_codewords(modules: Modules, truth: Truth, bits: NDArray[np.intp]) -> i
 
     Parameters
     ----------
-    bits : (8 n,)   flat module index of each codeword's bits, `evqr.symbol.qr_codewords.codeword_layout`
+    modules : (V, U) int8
+        -1 dark, +1 light.
+    truth : Truth
+        What the code says.
+    bits : (8 n,) intp
+        Flat module index of each codeword's bits, `evqr.symbol.qr_codewords.codeword_layout`.
     """
     wrong = np.sign(modules.ravel()[bits]) != truth.modules.ravel()[bits]
     return int(wrong.reshape(-1, 8).any(axis=1).sum())
@@ -219,8 +256,10 @@ def binned(keys: ArrayLike, values: ArrayLike, bounds: Sequence[float]) -> list[
 
     Parameters
     ----------
-    keys, values : (N,)
-    bounds : (K + 1,)   ascending; keys outside of them are left out
+    keys, values : (N,) float64
+        What is sorted into intervals by its key.
+    bounds : (K + 1,)
+        Ascending; keys outside of them are left out.
     """
     key, value = np.asarray(keys, np.float64), np.asarray(values, np.float64)
     place = np.searchsorted(bounds, key, side="right") - 1
@@ -246,8 +285,10 @@ def calibration(confidence: ArrayLike, right: ArrayLike, bounds: Sequence[float]
 
     Returns
     -------
-    bins    mean confidence (key) and share right (value) of each interval of confidence
-    error   mean distance of the two, weighted by how many: the expected calibration error; 0 without any
+    bins : list of Bin
+        Mean confidence (key) and share right (value) of each interval of confidence.
+    error : float
+        Mean distance of the two, weighted by how many: the expected calibration error; 0 without any.
     """
     bins = binned(confidence, right, bounds)
     count = sum(entry.count for entry in bins)

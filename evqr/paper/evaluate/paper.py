@@ -12,10 +12,14 @@ class Printed:
 
     Attributes
     ----------
-    trials                       N
-    mode_accuracy, max_accuracy  [%]
-    seconds_to_read, iterations_to_read
-    read_rate, image_read_rate   [%]
+    trials : int
+        N.
+    mode_accuracy, max_accuracy : float [%], optional
+        Share of modules that are right: of the mode over the trials, of the best trial.
+    seconds_to_read, iterations_to_read : float, optional
+        Until the text was read [s], and in iterations.
+    read_rate, image_read_rate : float [%], optional
+        Share of the trials that were read, by the method and from its image.
     """
 
     trials: int

@@ -24,7 +24,12 @@ def picture_of(outcome: Outcome, time_us: float, sequence: Sequence) -> NDArray[
 
     Parameters
     ----------
-    time_us   that the outcome is of [us]
+    outcome : Outcome
+        Of a method, with an image or with modules.
+    time_us : float [us]
+        That the outcome is of.
+    sequence : Sequence
+        The recording, with its poses.
     """
     shape = (sequence.events.height, sequence.events.width)
     box = _box(time_us, sequence) if outcome.image is None or outcome.image.shape == shape else None

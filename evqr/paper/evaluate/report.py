@@ -63,8 +63,10 @@ class About:
 
     Attributes
     ----------
-    command    that made them
-    dataset    one line
+    command : str
+        That made them.
+    dataset : str
+        One line.
     """
 
     command: str
@@ -78,11 +80,13 @@ def write_report(
 
     Returns
     -------
-    paths   of what was written
+    paths : list of Path
+        Of what was written.
 
     Raises
     ------
-    MissingExtra   matplotlib is not installed
+    MissingExtra
+        Matplotlib is not installed.
     """
     lines = table_of(table)
     facts = _facts(table, about)

@@ -23,9 +23,18 @@ class Line:
 
     Attributes
     ----------
-    scene, method, title, angle
-    score     ours
-    printed   the paper's; None where it has no such line
+    scene : str
+        Name of the scene.
+    method : str
+        Name of the method, in `METHODS`.
+    title : str
+        What the table calls the method.
+    angle : float [deg]
+        Of the code against the direction of travel.
+    score : Score
+        Ours.
+    printed : Printed, optional
+        The paper's; None where it has no such line.
     """
 
     scene: str

@@ -42,13 +42,20 @@ class BardowConfig:
 
     Attributes
     ----------
-    slices           K
-    weights          lambda_1 to lambda_5, see above
-    threshold        theta, of an event [log units]
-    reduction        pixels a side that make one
-    relinearise      iterations between two linearisations of the flow term
-    tolerance        step of L, relative to L, below which it has converged
-    max_iterations
+    slices : int
+        K.
+    weights : (float, float, float, float, float)
+        lambda_1 to lambda_5, see above.
+    threshold : float [log units]
+        Theta, of an event.
+    reduction : int
+        Pixels a side that make one.
+    relinearise : int
+        Iterations between two linearisations of the flow term.
+    tolerance : float
+        Step of L, relative to L, below which it has converged.
+    max_iterations : int
+        At most so many.
     """
 
     slices: int = 128
@@ -116,7 +123,10 @@ class Volume:
 
     Attributes
     ----------
-    luminance, flow_x, flow_y : (Y, X, K) float32
+    luminance : (Y, X, K) float32
+        Its logarithm.
+    flow_x, flow_y : (Y, X, K) float32 [px per slice]
+        Optical flow, column and row.
     """
 
     def __init__(self, window: Window, cfg: BardowConfig, device: str) -> None:

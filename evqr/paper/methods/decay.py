@@ -29,8 +29,10 @@ class DecayConfig:
 
     Attributes
     ----------
-    windows    time constant, in windows of the scene
-    contrast   standard deviations of the luminance from mid grey to black or white
+    windows : int
+        Time constant, in windows of the scene.
+    contrast : float
+        Standard deviations of the luminance from mid grey to black or white.
     """
 
     windows: int = 12

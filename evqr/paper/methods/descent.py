@@ -77,14 +77,22 @@ class DescentConfig:
 
     Attributes
     ----------
-    epsilon_px       standard deviation of an event's splat [px]
-    pose_rate        update rate of m and W
-    code_rate        update rate of q
-    pose_tolerance   size of a step of W below which the first step has converged
-    code_tolerance   size of a step of q below which the second step has converged
-    max_iterations   of either step
-    shown_iterations of the second step that a watch is shown at least, converged or not
-    starts           tried one after another until one finds a code
+    epsilon_px : float [px]
+        Standard deviation of an event's splat.
+    pose_rate : float
+        Update rate of m and W.
+    code_rate : float
+        Update rate of q.
+    pose_tolerance : float
+        Size of a step of W below which the first step has converged.
+    code_tolerance : float
+        Size of a step of q below which the second step has converged.
+    max_iterations : int
+        Of either step.
+    shown_iterations : int
+        Of the second step that a watch is shown at least, converged or not.
+    starts : tuple of "paper" or "solver"
+        Tried one after another until one finds a code.
     """
 
     epsilon_px: float = 0.8
@@ -103,13 +111,20 @@ class DescentReading:
 
     Attributes
     ----------
-    text                   None when the modules do not decode
-    q : (r, r) float32     modules, < 0 dark, > 0 light
-    pose : (3, 3)          code coordinates to px
-    motion                 at the middle of the window
-    stage_one_iterations   of m and W
-    stage_two_iterations   of q
-    compute_ms             milliseconds by stage, and "total"
+    text : str, optional
+        None when the modules do not decode.
+    q : (r, r) float32
+        Modules, < 0 dark, > 0 light.
+    pose : (3, 3) float64
+        Code coordinates to px.
+    motion : Motion
+        At the middle of the window.
+    stage_one_iterations : int
+        Of m and W.
+    stage_two_iterations : int
+        Of q.
+    compute_ms : mapping of str to float [ms]
+        By stage, and "total".
     """
 
     text: str | None
@@ -209,8 +224,18 @@ def read_window(
 
     Parameters
     ----------
-    start           first guess of the motion
-    pose : (3, 3)   code coordinates to px at the middle of the window, affine
+    window : Window
+        Events of one window.
+    start : Motion
+        First guess of the motion.
+    pose : (3, 3) float64
+        Code coordinates to px at the middle of the window, affine.
+    version : int
+        Of the symbol.
+    workspace : Workspace
+        Whose buffers are used.
+    cfg : DescentConfig, optional
+        Settings.
     """
     cfg, clock = cfg or DescentConfig(), StageClock()
     with clock("stage_one"):
@@ -284,11 +309,15 @@ class Problem:
 
     Attributes
     ----------
-    motion : (2,)         first guess of m: displacement over the window [px]
-    affine : (2, 3)       first guess of W: (x, y, 1), centred on the code and divided by half its side, to
-                          modules from the code's centre
-    known_grid : (n, n)   modules with a quiet zone of `QUIET_MODULES` around them, 0 where unknown
-    free : (n, n) bool    the unknown ones
+    motion : (2,) float64 [px]
+        First guess of m: displacement over the window.
+    affine : (2, 3) float64
+        First guess of W: (x, y, 1), centred on the code and divided by half its side, to modules from the
+        code's centre.
+    known_grid : (n, n)
+        Modules with a quiet zone of `QUIET_MODULES` around them, 0 where unknown.
+    free : (n, n) bool
+        The unknown ones.
     """
 
     def __init__(

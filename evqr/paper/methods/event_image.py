@@ -22,13 +22,21 @@ def event_image(
 
     Parameters
     ----------
-    motion : (2,)   [px per window]
-    epsilon_px      standard deviation of an event's splat [px]
-    weight          of an event
+    window : Window
+        Events of one window.
+    motion : (2,) float64 [px per window]
+        Displacement that is undone.
+    epsilon_px : float [px]
+        Standard deviation of an event's splat.
+    workspace : Workspace
+        Whose buffers are used.
+    weight : float
+        Of an event.
 
     Returns
     -------
-    (Y, X)   a buffer of the workspace that the next call fills again
+    image : (Y, X) float32
+        A buffer of the workspace that the next call fills again.
     """
     image = workspace.buffer("image of events", (1, window.height, window.width))
     workspace.get(image).fill(0.0)

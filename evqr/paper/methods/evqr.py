@@ -20,8 +20,10 @@ class Own:
 
     Parameters
     ----------
-    windows   1: each window alone; more: one after another until the code is read
-    lag       whether the pixels' lag is estimated and undone
+    windows : int
+        1: each window alone; more: one after another until the code is read.
+    lag : bool
+        Whether the pixels' lag is estimated and undone.
     """
 
     takes: Literal["events"] = "events"

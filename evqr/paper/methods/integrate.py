@@ -48,9 +48,12 @@ class IntegrateConfig:
 
     Attributes
     ----------
-    cell_px     size of a cell of the image [px]
-    memory_px   distance over which an integral forgets [px]
-    contrast    standard deviations of the luminance from mid grey to black or white
+    cell_px : float [px]
+        Size of a cell of the image.
+    memory_px : float [px]
+        Distance over which an integral forgets.
+    contrast : float
+        Standard deviations of the luminance from mid grey to black or white.
     """
 
     cell_px: float = 1.1
@@ -64,9 +67,12 @@ class IntegrateReading:
 
     Attributes
     ----------
-    text         None when nothing was read
-    image        (Y, X) uint8, what the decoder saw: the motion is down its rows; None without motion
-    compute_ms   milliseconds by stage, and "total"
+    text : str, optional
+        None when nothing was read.
+    image : (Y, X) uint8, optional
+        What the decoder saw: the motion is down its rows; None without motion.
+    compute_ms : mapping of str to float [ms]
+        By stage, and "total".
     """
 
     text: str | None
@@ -104,9 +110,16 @@ def read_window(
 
     Parameters
     ----------
-    motion       of the window; None: estimated from its events, in the stage "motion"
-    cfg          default `IntegrateConfig()`
-    motion_cfg   default `MotionConfig()`
+    window : Window
+        Events of one window.
+    workspace : Workspace
+        Whose buffers are used.
+    motion : Motion, optional
+        Of the window; None: estimated from its events, in the stage "motion".
+    cfg : IntegrateConfig, optional
+        Default `IntegrateConfig()`.
+    motion_cfg : MotionConfig, optional
+        Default `MotionConfig()`.
     """
     cfg, clock = cfg or IntegrateConfig(), StageClock()
     if motion is None:

@@ -28,17 +28,28 @@ class Outcome:
 
     Attributes
     ----------
-    modules : (r, r) float   < 0 dark, > 0 light; None without a code, or for a method that gives an image
-    image : (Y, X)           luminance, larger is lighter; None for a method that gives modules
-    text                     what it reads; None when nothing, or when reading its image is left to others
-    converged                whether it ended by its own criterion
-    pose : (3, 3)            code coordinates to px at the middle of its last window, of modules; or None
-    time_us                  time that the image or the modules are of [us]; None: the middle of what was seen
-    windows                  windows of events that it needed, of those it was given
-    confidence               that the text is right, 0 to 1; None where it does not say
-    start                    which of several starts it took; None: it has one, or none was found
-    pose_iterations          that it took before those that are watched; None: none
-    search_seconds           of its time, spent on finding the code [s]; None where that is no step of its own
+    modules : (r, r) float
+        < 0 dark, > 0 light; None without a code, or for a method that gives an image.
+    image : (Y, X) float, optional
+        Luminance, larger is lighter; None for a method that gives modules.
+    text : str, optional
+        What it reads; None when nothing, or when reading its image is left to others.
+    converged : bool
+        Whether it ended by its own criterion.
+    pose : (3, 3) float64, optional
+        Code coordinates to px at the middle of its last window, of modules; or None.
+    time_us : float [us], optional
+        Time that the image or the modules are of; None: the middle of what was seen.
+    windows : int
+        Windows of events that it needed, of those it was given.
+    confidence : float, optional
+        That the text is right, 0 to 1; None where it does not say.
+    start : str, optional
+        Which of several starts it took; None: it has one, or none was found.
+    pose_iterations : int, optional
+        That it took before those that are watched; None: none.
+    search_seconds : float [s], optional
+        Of its time, spent on finding the code; None where that is no step of its own.
     """
 
     modules: NDArray[np.floating[Any]] | None = None
@@ -59,9 +70,12 @@ class Method(Protocol):
 
     Attributes
     ----------
-    takes    "events": a `Window`; "frame": an image (Y, X) uint8
-    windows  windows of the scene's length that one `Window` holds
-    matched  whether codes are read from its image by the paper's pattern matching (section 4.4)
+    takes : Literal['events', 'frame']
+        "events": a `Window`; "frame": an image (Y, X) uint8.
+    windows : int
+        Windows of the scene's length that one `Window` holds.
+    matched : bool
+        Whether codes are read from its image by the paper's pattern matching (section 4.4).
     """
 
     takes: Literal["events", "frame"]

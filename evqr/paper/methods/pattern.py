@@ -31,8 +31,10 @@ class Pattern:
 
     Attributes
     ----------
-    stripes   where each begins [modules from the centre of the kernel], and its sign
-    end       where the last one ends; the first begins as far on the other side
+    stripes : tuple of (float, float)
+        Where each begins [modules from the centre of the kernel], and its sign.
+    end : float
+        Where the last one ends; the first begins as far on the other side.
     """
 
     stripes: tuple[tuple[float, float], ...]
@@ -58,12 +60,15 @@ def find_code(image: NDArray[Any], version: int) -> NDArray[np.float32] | None:
 
     Parameters
     ----------
-    image : (Y, X)   larger is lighter, any offset and unit
-    version          of the code
+    image : (Y, X) float
+        Larger is lighter, any offset and unit.
+    version : int
+        Of the code.
 
     Returns
     -------
-    (r, r)   < 0 dark, > 0 light; None where no code is found
+    modules : (r, r) float or None
+        < 0 dark, > 0 light; None where no code is found.
     """
     image = np.asarray(image, np.float32)
     response, module, position = find_patterns(image)
@@ -83,9 +88,12 @@ def find_patterns(image: Image) -> tuple[NDArray[Any], NDArray[Any], NDArray[Any
 
     Returns
     -------
-    response : (N,)      of the better direction, and of the other one where it agrees: 0 to 2
-    module : (N,)        length of a module along rows and columns [px]
-    position : (N, 2)    [px]
+    response : (N,)
+        Of the better direction, and of the other one where it agrees: 0 to 2.
+    module : (N,) [px]
+        Length of a module along rows and columns.
+    position : (N, 2) float64 [px]
+        Centres, column and row.
     """
     level = image - image.mean()
     spread = float(level.std())

@@ -17,13 +17,20 @@ class Row:
 
     Attributes
     ----------
-    title
-    target         "module:class"
-    options        of the class
-    quick          options more, where a try is enough
-    told_version   whether the class is told the version of the code, too
-    revision       raised when the method gives other results: its older cells are then computed again
-    by_name        whether it is run only where it is asked for by its name
+    title : str
+        What tables call it.
+    target : str
+        "module:class".
+    options : mapping of str to Any
+        Of the class.
+    quick : mapping of str to Any
+        Options more, where a try is enough.
+    told_version : bool
+        Whether the class is told the version of the code, too.
+    revision : int
+        Raised when the method gives other results: its older cells are then computed again.
+    by_name : bool
+        Whether it is run only where it is asked for by its name.
     """
 
     title: str

@@ -91,12 +91,21 @@ def find_pose(
 
     Parameters
     ----------
-    motion : (2,)   [px per window]
-    epsilon_px      standard deviation of an event's splat [px]
+    window : Window
+        Events of one window.
+    motion : (2,) float64 [px per window]
+        Displacement that is undone.
+    version : int
+        Of the symbol.
+    epsilon_px : float [px]
+        Standard deviation of an event's splat.
+    workspace : Workspace
+        Whose buffers are used.
 
     Returns
     -------
-    (3, 3)   code coordinates to px; None where there are no three patterns that agree with the events
+    pose : (3, 3) float64 or None
+        Code coordinates to px; None where there are no three patterns that agree with the events.
     """
     image = event_image(window, motion, epsilon_px=epsilon_px, workspace=workspace)
     best, agreement = None, MIN_AGREEMENT

@@ -39,13 +39,20 @@ class WithoutQrConfig:
 
     Attributes
     ----------
-    smoothness       lambda of equation 7
-    threshold        of an event, theta [log units]
-    epsilon_px       standard deviation of an event's splat [px]
-    motion_rate      update rate of m
-    luminance_rate   update rate of L
-    tolerance        step of L, relative to L, below which the descent has converged
-    max_iterations
+    smoothness : float
+        Lambda of equation 7.
+    threshold : float [log units]
+        Of an event, theta.
+    epsilon_px : float [px]
+        Standard deviation of an event's splat.
+    motion_rate : float
+        Update rate of m.
+    luminance_rate : float
+        Update rate of L.
+    tolerance : float
+        Step of L, relative to L, below which the descent has converged.
+    max_iterations : int
+        At most so many.
     """
 
     smoothness: float = 0.2
