@@ -6,8 +6,8 @@ Both are streamed from the (compressed) bytes; a memory map would not do for .np
 from __future__ import annotations
 
 import zipfile
-from collections.abc import Callable, Mapping
-from contextlib import ExitStack
+from collections.abc import Callable, Iterable, Mapping
+from contextlib import ExitStack, suppress
 from typing import IO, Any, NamedTuple
 
 import numpy as np
@@ -92,10 +92,14 @@ class NpzSource(Source):
         with explained(path, "npz file"), zipfile.ZipFile(path) as archive:
             members = {n.removesuffix(".npy"): n for n in archive.namelist() if n.endswith(".npy")}
             found = find_columns(members)
-            self._columns = {column: members[name] for column, name in found.items()}
             self._table: _Table | None = None
             streams: list[str] = []
             stream, note = "", ""
+            if len(found) < 4 and (groups := _groups(members)):
+                streams = list(groups)
+                stream = choose_stream(streams, asked.stream, path, "group")
+                found = groups[stream]
+            self._columns = {column: members[name] for column, name in found.items()}
             if len(found) < 4:
                 tables = _tables(archive, members, path, asked)
                 if not tables:
@@ -231,12 +235,12 @@ def _tables(
     unclear: RecordingError | None = None
     for name, member in members.items():
         with archive.open(member) as file:
-            read = ArrayReader(file, path, name)
-            if not read.names and (len(read.shape) != 2 or read.length < 2):
-                continue
             try:
+                read = ArrayReader(file, path, name)
+                if not read.names and (len(read.shape) != 2 or read.length < 2):
+                    continue
                 table = _table(read, path, name, asked)
-            except RecordingError as error:
+            except RecordingError as error:  # a pickle, or a matrix of something else
                 unclear = error
                 continue
         if table is not None:
@@ -245,6 +249,22 @@ def _tables(
     if not tables and unclear is not None:
         raise unclear
     return named or tables
+
+
+def _groups(names: Iterable[str]) -> dict[str, dict[str, str]]:
+    """Find sets of all four columns whose names begin alike, such as left/t, left/x, ... or left_t, ..."""
+    parts: dict[str, dict[str, str]] = {}
+    for name in names:
+        for separator in "/_.":
+            prefix, found, column = name.rpartition(separator)
+            if found:
+                parts.setdefault(prefix, {})[column] = name
+    groups = {prefix: (find_columns(columns), columns) for prefix, columns in parts.items()}
+    return {
+        p: {c: columns[n] for c, n in found.items()}
+        for p, (found, columns) in groups.items()
+        if len(found) == 4
+    }
 
 
 def _length(archive: zipfile.ZipFile, member: str, path: str) -> int:
@@ -257,7 +277,7 @@ def _said(archive: zipfile.ZipFile, members: Mapping[str, str], path: str) -> di
     said = {}
     for name, member in members.items():
         if archive.getinfo(member).file_size <= MAX_SAID_BYTES:
-            with archive.open(member) as file:
+            with archive.open(member) as file, suppress(RecordingError):  # a pickle, which is not loaded
                 read = ArrayReader(file, path, member)
                 if read.length <= 4:
                     said[name] = read(read.length)

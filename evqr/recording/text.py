@@ -26,6 +26,7 @@ from .text_head import (
     is_blank,
     no_event_text,
     read_head,
+    value_of,
 )
 
 ENCODING_BYTES = 1 << 16
@@ -81,9 +82,8 @@ class _Parser:
             return None
         table = self._table(lines)
         if table is None:
-            lines = self._without_wrong(block, done)
-            table = self._table(lines) if lines else None
-        return None if table is None else RawColumns(*(table[column] for column in "txyp"))
+            return self._line_by_line(block, done)
+        return RawColumns(*(table[column] for column in "txyp"))
 
     def _table(self, lines: list[str]) -> NDArray[Any] | None:
         """Parse lines that are all events; None where one is not."""
@@ -91,7 +91,7 @@ class _Parser:
         if style.decimal_comma:
             lines = [line.replace(",", ".") for line in lines]
         if self._head.words:
-            lines = [_WORD.sub(lambda word: f"{WORDS[word[0].casefold()]:.0f}", line) for line in lines]
+            lines = [_WORD.sub(lambda word: f"{WORDS[word[0].casefold()]}", line) for line in lines]
         if style.separator:  # one at the end makes no column
             lines = [line.rstrip().removesuffix(style.separator) for line in lines]
         for whole in (True, False) if self._whole_times else (False,):
@@ -112,17 +112,19 @@ class _Parser:
             return table
         return None
 
-    def _without_wrong(self, block: list[str], done: int) -> list[str]:
-        """Lines that are events; tells of the others."""
+    def _line_by_line(self, block: list[str], done: int) -> RawColumns | None:
+        """Parse each line, and tell of those that are no events."""
         head = self._head
-        good, wrong = [], []
+        rows: list[list[int | float]] = []
+        wrong: list[tuple[int, str]] = []
         for number, line in enumerate(block, done + 1):
             if is_blank(line):
                 continue
             cells = head.style.cells(line)
-            values = head.style.values(line) if "-" not in head.columns else _used(cells, head)
-            if values is not None and len(cells) == len(head.columns):
-                good.append(_plain_line(line, head))
+            values = [value_of(cells[head.columns.index(c)]) for c in "txyp"] if self._fits(cells) else [None]
+            good = [value for value in values if value is not None]
+            if len(good) == 4:
+                rows.append(good)
             else:
                 wrong.append((number, line))
         if wrong and not wrong[-1][1].endswith("\n"):  # only the last line of a file can end without
@@ -130,20 +132,16 @@ class _Parser:
         if wrong:
             self._faults.met += len(wrong)
             self._faults.leave_out(len(wrong), no_event_text(*wrong[0]), NO_EVENT_ADVICE)
-        return good
+        if not rows:
+            return None
+        t, *others = zip(*rows, strict=True)
+        whole = all(isinstance(value, int) and abs(value) < 1 << 63 for value in t)
+        return RawColumns(
+            np.array(t, np.int64 if whole else np.float64), *(np.array(c, float) for c in others)
+        )
 
-
-def _used(cells: list[str], head: Head) -> list[float] | None:
-    from .text_head import _values
-
-    return _values(cell for cell, column in zip(cells, head.columns, strict=False) if column != "-")
-
-
-def _plain_line(line: str, head: Head) -> str:
-    """Write a line whose polarity is a word with a number."""
-    if head.words:
-        return line
-    return _WORD.sub(lambda word: f"{WORDS[word[0].casefold()]:.0f}", line)
+    def _fits(self, cells: list[str]) -> bool:
+        return len(cells) == len(self._head.columns)
 
 
 def _encoding(path: str) -> str:

@@ -26,7 +26,10 @@ from .declared import (
 from .options import Asked
 
 COMMENTS = ("#", "%", "//")
-WORDS = {"true": 1.0, "false": 0.0, "on": 1.0, "off": 0.0}
+WORDS = {
+    **dict.fromkeys(("true", "on", "pos", "positive", "brighter"), 1),
+    **dict.fromkeys(("false", "off", "neg", "negative", "darker"), 0),
+}
 """What may stand for a polarity."""
 
 SAMPLE_LINES = 4096
@@ -49,7 +52,7 @@ class Style(NamedTuple):
 
     def cells(self, line: str) -> list[str]:
         """Cells of a line, without quotes."""
-        line = line.strip().removesuffix(self.separator or " ").strip()
+        line = line.strip().strip("[](){}").removesuffix(self.separator or " ").strip()
         cells = [cell.strip().strip("\"'") for cell in line.split(self.separator)]
         return [cell.replace(",", ".") for cell in cells] if self.decimal_comma else cells
 
@@ -191,7 +194,9 @@ def names_in(line: str) -> list[str] | None:
     separator = next((s for s in (";", ",", "\t", "|") if s in text), None)
     parts = text.split(separator) if separator else _NAME.findall(text)
     names = [part.strip().strip("\"'").strip() for part in parts]
-    return None if any(_value(name) is not None and name.casefold() not in WORDS for name in names) else names
+    return (
+        None if any(value_of(name) is not None and name.casefold() not in WORDS for name in names) else names
+    )
 
 
 def is_blank(line: str) -> bool:
@@ -281,12 +286,15 @@ def _size(text: str) -> tuple[int, int] | None:
 
 
 def _values(cells: Iterable[str]) -> list[float] | None:
-    values = [_value(cell) for cell in cells]
+    values = [value_of(cell) for cell in cells]
     return None if None in values else values  # type: ignore[return-value]
 
 
-def _value(cell: str) -> float | None:
+def value_of(cell: str) -> int | float | None:
+    """Return the value of a cell: whole with all its digits, any other, or a word for a polarity."""
     cell = cell.strip().strip("\"'")
+    if cell.lstrip("+-").isdecimal() and cell.isascii():
+        return int(cell) if len(cell) < 40 else float(cell)
     try:
         return float(cell)
     except ValueError:
@@ -300,4 +308,4 @@ def _cell(style: Style, line: str, index: int) -> str:
 
 def _is_whole(style: Style, line: str, index: int) -> bool:
     cell = _cell(style, line, index)
-    return not cell or cell.lstrip("+-").isdecimal() or _value(cell) is None
+    return not cell or cell.lstrip("+-").isdecimal() or value_of(cell) is None

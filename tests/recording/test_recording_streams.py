@@ -271,6 +271,16 @@ def test_npz_with_several_arrays(tmp_path):
     with pytest.raises(StreamChoice, match=r"event arrays \(left, right\)"):
         read(tmp_path / "a.npz")
     assert_same_events(read(tmp_path / "a.npz", stream="left")[0], EVENTS)
+    for separator in "/_.":
+        two = {
+            f"{side}{separator}{c}": getattr(e, c) for side, e in (("l", EVENTS), ("r", FEW)) for c in "txyp"
+        }
+        np.savez(
+            tmp_path / "a.npz", **two, resolution="64x48", note=np.array([{"never": "unpickled"}], object)
+        )
+        with pytest.raises(StreamChoice, match=r"event groups \(l, r\)"):
+            read(tmp_path / "a.npz")
+        assert_same_events(read(tmp_path / "a.npz", stream="l")[0], EVENTS)
     matrix = np.stack([EVENTS.x, EVENTS.y, EVENTS.p > 0, EVENTS.t], axis=1)
     for save in (np.savez, np.savez_compressed):
         save(tmp_path / "a.npz", arr_0=matrix, sensor_size=[WIDTH, HEIGHT])

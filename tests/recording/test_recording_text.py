@@ -231,3 +231,20 @@ def test_any_lines_are_read_or_explained(tmp_path, lines):
     else:
         assert len(got) > 0
         assert np.all(np.diff(got.t) >= 0)
+
+
+UNUSUAL = [
+    "[{t}, {x}, {y}, {p}]",
+    "({s:.6f}, {x}, {y}, {p})",
+    "'{t}','{x}','{y}','{p}'",
+    '"{t}" "{x}" "{y}" "{p}"',
+]
+
+
+@pytest.mark.parametrize("line", UNUSUAL)
+def test_lines_that_numpy_does_not_parse(tmp_path, line):
+    for on, off in (("1", "0"), ("pos", "neg"), ("Positive", "Negative")):
+        assert_same_events(read(tmp_path / "a", rows(EVENTS, line, on, off))[0], EVENTS)
+    start = 1_700_000_000_000_000_000
+    text = "".join(f"[{start + i * 1000 + 1} {i % 8} 0 1]\n" for i in range(500))
+    np.testing.assert_array_equal(read(tmp_path / "a", text)[0].t, start // 1000 + np.arange(500))
