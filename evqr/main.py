@@ -65,6 +65,7 @@ class _Commands(click.Group):
     home: ClassVar = {
         "read": "evqr.cli.commands",
         "info": "evqr.cli.commands",
+        "convert": "evqr.cli.commands",
         "simulate": "evqr.cli.commands",
         "demo": "evqr.cli.commands",
         "dataset": "evqr.paper.cli",

@@ -238,7 +238,7 @@ def test_jobs_read_in_workers(capsys, tmp_path):
         ("read nowhere/a.h5", "nowhere/a.h5"),
         ("info nowhere/a.h5", "nowhere/a.h5"),
         ("simulate out.h5 --preset luxury", "'luxury'"),
-        ("simulate out.csv", "out.csv: recordings are written as .h5"),
+        ("simulate out.csv", "out.csv: recordings are written with their truth as .h5"),
         ("simulate out.h5 --module-px -3", "module_px"),
         ("simulate nowhere/out.h5 --sensor 160x120 --module-px 3 --duration-us 500", "nowhere/out.h5"),
     ],

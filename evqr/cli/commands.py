@@ -226,6 +226,39 @@ def info(recording: Path, as_json: bool, opening: RecordingOptions) -> int:
 
 
 @click.command(
+    epilog=examples(
+        "evqr convert line3.raw line3.h5",
+        "evqr convert stereo.bag left.aedat4 --stream /left/events",
+        "evqr convert long.csv part.raw --sensor 640x480 --start-us 1000000 --end-us 2000000",
+    )
+)
+@click.argument("recording", metavar="IN", type=click.Path(path_type=Path))
+@click.argument("output", metavar="OUT", type=click.Path(path_type=Path))
+@recording_options
+@click.option("--force", is_flag=True, help="Write over OUT if it is there.")
+def convert(recording: Path, output: Path, opening: RecordingOptions, force: bool) -> int:
+    """Write a recording in another format.
+
+    The suffix of OUT names it: .h5, .npz, .txt, .csv, .raw (Prophesee EVT3) or .aedat4.
+    """
+    from evqr.recording import convert_recording, open_recording
+    from evqr.recording.writing import writer_of
+
+    writer_of(output)  # before the work is done
+    if output.exists() and (not force or output.samefile(recording)):
+        raise UsageError(f"{output}: is there already; choose another name, or write over it with --force")
+    with open_recording(recording, **opening) as opened:
+        with progress_bar(recording.name) as progress:
+            notes = convert_recording(opened, output, progress=progress)
+        for text in (*opened.notes, *notes):
+            note(f"{recording}: {text}")
+        first, last = opened.t_first_us or 0, opened.t_last_us or 0
+        size = f"{opened.width}x{opened.height}"
+        click.echo(f"{output}: {opened.n_events:,} events in {(last - first) / 1000:.1f} ms, {size}")
+    return OK
+
+
+@click.command(
     epilog=examples('evqr simulate pass.h5 --text "LOT 42" --preset fast --seed 1', "evqr read pass.h5")
 )
 @click.argument("output", metavar="OUT.h5", type=click.Path(path_type=Path))
@@ -297,7 +330,7 @@ def simulate(
     from evqr.simulate import simulate as run_simulation
     from evqr.simulate.sensor import needs_compile
 
-    writer_of(output)  # before the work is done
+    writer_of(output, truth=True)  # before the work is done
     if needs_compile():
         note(COMPILING)
     made = run_simulation(

@@ -23,7 +23,7 @@ from .options import DEFAULT_CHUNK_EVENTS, RecordingOptions, checked
 from .recognise import reader_of
 from .stream import Recording
 from .summary import RecordingInfo, summarise
-from .writing import save_recording
+from .writing import convert_recording, save_recording
 
 __all__ = [
     "EventCounts",
@@ -31,6 +31,7 @@ __all__ = [
     "RecordingInfo",
     "RecordingOptions",
     "TimeUnit",
+    "convert_recording",
     "open_recording",
     "save_recording",
     "summarise",

@@ -1,22 +1,50 @@
-"""Write recordings: HDF5 in the layout ``events/{t,x,y,p}`` and npz, with the truth where it is known."""
+"""Write recordings: which writer a name asks for, from memory or from another recording, in bounded memory.
+
+A file takes its place when it is complete: one that was there before stays as it was until then.
+"""
 
 from __future__ import annotations
 
 import os
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
 from pathlib import Path
-from typing import Any
-
-import numpy as np
 
 from evqr.events.array import EventArray
 
-from ..errors import RecordingError, UsageError
+from ..errors import EvqrError, RecordingError, UsageError
+from .stream import Recording
+from .vendor_writers import Aedat4Writer, Evt3Writer
+from .writers import CsvWriter, Hdf5Writer, NpzWriter, TextWriter, Truth, Writer
 
-CHUNK_EVENTS = 1 << 16
+Progress = Callable[[int, int | None], None]
 
 
-Truth = Mapping[str, Mapping[str, Any]]
+def writer_of(path: str | os.PathLike[str], *, truth: bool = False) -> type[Writer]:
+    """Return what writes a recording of this name, with its truth if there is one to keep.
+
+    Raises
+    ------
+    UsageError
+        For a suffix that is not written, or of a format without a place for the truth.
+    """
+    writers: dict[str, type[Writer]] = {
+        **dict.fromkeys((".h5", ".hdf5"), Hdf5Writer),
+        ".npz": NpzWriter,
+        ".raw": Evt3Writer,
+        ".aedat4": Aedat4Writer,
+        ".txt": TextWriter,
+        ".csv": CsvWriter,
+    }
+    if truth:
+        writers = {suffix: writer for suffix, writer in writers.items() if writer.keeps_truth}
+    suffix = Path(path).suffix.lower()
+    if suffix not in writers:
+        with_truth = " with their truth" if truth else ""
+        raise UsageError(
+            f"{path}: recordings are written{with_truth} as {', '.join(writers)}; end the name in one of them"
+        )
+    return writers[suffix]
 
 
 def save_recording(path: str | os.PathLike[str], events: EventArray, *, truth: Truth | None = None) -> None:
@@ -24,77 +52,75 @@ def save_recording(path: str | os.PathLike[str], events: EventArray, *, truth: T
 
     Parameters
     ----------
-    path     .h5 or .hdf5 (``events/{t,x,y,p}``, p as {0, 1}, attrs width and height) or .npz (the same names)
-    events   what to write
-    truth    what is true of each code, as `evqr.simulate` tells it: name of a group ("truth", "truth2", ...)
-             to its fields.  Scalars become attributes of the group, arrays its datasets; in .npz all become
-             arrays ``GROUP/NAME``
+    path : path
+        .h5 or .hdf5 (``events/{t,x,y,p}``, p as {0, 1}, attributes width and height), .npz (the same names),
+        .txt or .csv (a line an event), .raw (Prophesee EVT3), .aedat4 (needs the extra ``formats``).
+    events : EventArray
+        What to write.
+    truth : mapping
+        What is true of each code, as `evqr.simulate` tells it: name of a group ("truth", "truth2", ...) to
+        its fields.  Scalars become attributes of the group, arrays its datasets; in .npz all become arrays
+        ``GROUP/NAME``.  Other formats have no place for it.
 
     Raises
     ------
-    RecordingError   when the file cannot be written
-    UsageError       for another suffix
+    RecordingError
+        When the file cannot be written.
+    UsageError
+        For another suffix, or a truth that the format has no place for.
     """
-    path = Path(path)
-    write = writer_of(path)
+    with _new_file(Path(path), writer_of(path, truth=bool(truth)), events.width, events.height) as writer:
+        if len(events):
+            writer.write(events)
+        writer.finish(truth or {})
+
+
+def convert_recording(
+    recording: Recording, path: str | os.PathLike[str], *, progress: Progress | None = None
+) -> tuple[str, ...]:
+    """Write all events of an open recording to a file, a chunk at a time.
+
+    Parameters
+    ----------
+    recording : Recording
+        What to read.
+    path : path
+        What to write; the suffix names the format, as for `save_recording`.
+    progress : callable
+        Called with the event time done and the whole duration, None while unknown [us].
+
+    Returns
+    -------
+    tuple of str
+        What the format could not keep, each in one line.
+    """
+    with _new_file(Path(path), writer_of(path), recording.width, recording.height) as writer:
+        for chunk in recording.chunks():
+            writer.write(chunk)
+            if progress is not None and recording.t_first_us is not None:
+                last = recording.t_last_us
+                total = None if last is None else last - recording.t_first_us
+                progress(int(chunk.t[-1]) - recording.t_first_us, total)
+        writer.finish({})
+    return tuple(writer.notes)
+
+
+@contextmanager
+def _new_file(path: Path, writer: type[Writer], width: int, height: int) -> Iterator[Writer]:
+    """Give a writer of a file beside the one that is wanted, which takes its place when all is written."""
+    part = path.with_name(f".{path.name}.part")
+    opened: Writer | None = None
     try:
-        write(path, events, truth or {})
+        opened = writer(part, width, height)
+        yield opened
+        os.replace(part, path)
+    except EvqrError:
+        raise
     except OSError as error:
         raise RecordingError(
             f"{path}: cannot be written ({error.strerror or error}); choose another place"
         ) from error
-
-
-def writer_of(path: Path) -> Callable[[Path, EventArray, Truth], None]:
-    """Return what writes a recording of this name; raise `UsageError` for a suffix that is not written."""
-    writers = {".h5": _write_hdf5, ".hdf5": _write_hdf5, ".npz": _write_npz}
-    if path.suffix not in writers:
-        raise UsageError(
-            f"{path}: recordings are written as {', '.join(writers)}; end the name in one of them"
-        )
-    return writers[path.suffix]
-
-
-def _columns(events: EventArray) -> dict[str, np.ndarray]:
-    # The int8 {0, 1} of the development recordings, which most readers take.
-    return {"t": events.t, "x": events.x, "y": events.y, "p": (events.p > 0).astype(np.int8)}
-
-
-def _write_hdf5(path: Path, events: EventArray, truth: Truth) -> None:
-    import h5py
-
-    with h5py.File(path, "w") as file:
-        file.attrs["width"], file.attrs["height"] = events.width, events.height
-        group = file.create_group("events")
-        chunks = (min(CHUNK_EVENTS, len(events)),) if len(events) else None
-        for name, values in _columns(events).items():
-            group.create_dataset(
-                name,
-                data=values,
-                chunks=chunks,
-                **({"compression": "gzip", "shuffle": True} if chunks else {}),
-            )
-        group["t"].attrs["unit"] = "us"
-        for code, fields in truth.items():
-            told = file.create_group(code)
-            for name, value in fields.items():
-                if np.ndim(value) == 0:
-                    told.attrs[name] = value
-                else:
-                    told.create_dataset(name, data=np.asarray(value))
-
-
-def _write_npz(path: Path, events: EventArray, truth: Truth) -> None:
-    np.savez_compressed(
-        path,
-        allow_pickle=False,
-        **_columns(events),
-        width=events.width,
-        height=events.height,
-        time_unit="us",
-        **{
-            f"{code}/{name}": np.asarray(value)
-            for code, fields in truth.items()
-            for name, value in fields.items()
-        },
-    )
+    finally:
+        if opened is not None:
+            opened.close()
+        part.unlink(missing_ok=True)

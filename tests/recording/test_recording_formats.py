@@ -75,7 +75,7 @@ def test_saved_truth_has_the_layout_of_the_development_recordings(tmp_path, even
 
 def test_saving_refuses_other_suffixes_and_unwritable_places(tmp_path, events):
     with pytest.raises(UsageError, match=r"written as \.h5"):
-        save_recording(tmp_path / "a.csv", events)
+        save_recording(tmp_path / "a.xls", events)
     with pytest.raises(ValueError, match="cannot be written"):
         save_recording(tmp_path / "missing" / "a.npz", events)
 

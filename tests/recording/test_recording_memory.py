@@ -6,7 +6,7 @@ import h5py
 import numpy as np
 import pytest
 
-from evqr.recording import open_recording
+from evqr.recording import convert_recording, open_recording
 
 COUNT = 2_000_000
 CHUNK = 50_000
@@ -50,6 +50,21 @@ def test_peak_of_streaming(tmp_path, columns, writer):
     try:
         with open_recording(tmp_path / "a", sensor=(64, 48), time_unit="us", chunk_events=CHUNK) as recording:
             assert sum(map(len, recording.chunks())) == COUNT
+        _, peak = tracemalloc.get_traced_memory()
+    finally:
+        tracemalloc.stop()
+    assert peak < LIMIT_BYTES
+
+
+@pytest.mark.parametrize("suffix", [".npz"])
+def test_peak_of_converting(tmp_path, columns, suffix):
+    write_npy(tmp_path / "a", columns)
+    options = {"sensor": (64, 48), "time_unit": "us", "chunk_events": CHUNK, "end_us": 1_000_000}
+    tracemalloc.start()
+    try:
+        with open_recording(tmp_path / "a", **options) as recording:
+            convert_recording(recording, tmp_path / f"b{suffix}")
+            assert recording.n_events == np.searchsorted(columns["t"], 1_000_000)
         _, peak = tracemalloc.get_traced_memory()
     finally:
         tracemalloc.stop()
