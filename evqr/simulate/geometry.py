@@ -20,7 +20,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from evqr.errors import UsageError
 from evqr.simulate.config import CodePlacement, SceneConfig
-from evqr.simulate.printed import Symbol, make_symbol
+from evqr.simulate.printed import PrintedSymbol, make_symbol
 
 #: Travel of a recording whose duration is left open [px].
 DEFAULT_TRAVEL_PX = 40.0
@@ -53,13 +53,13 @@ def plane_to_image(scene: SceneConfig) -> Matrix:
     return np.array([[f, 0.0, cx], [0.0, f, cy], [0.0, 0.0, 1.0]]) @ view / f
 
 
-def code_corners(symbol: Symbol, margin: float = 0.0) -> NDArray[np.float64]:
+def code_corners(symbol: PrintedSymbol, margin: float = 0.0) -> NDArray[np.float64]:
     """(4, 2) outer corners of a code in its own frame, ``margin`` modules outside of it [modules]."""
     low, right, bottom = -margin, symbol.space.columns + margin, symbol.space.rows + margin
     return np.array([[low, low], [right, low], [right, bottom], [low, bottom]])
 
 
-def code_to_object(symbol: Symbol, direction: float) -> Matrix:
+def code_to_object(symbol: PrintedSymbol, direction: float) -> Matrix:
     """Homography from modules to the frame of an object that travels in ``direction`` [deg]."""
     p = symbol.placement
     turned = similarity(p.angle - direction, p.module_px, np.zeros(2))
@@ -122,7 +122,7 @@ class Motion:
         return self.plane_to_image @ pose
 
 
-def plan_motion(scene: SceneConfig, symbols: list[Symbol]) -> Motion:
+def plan_motion(scene: SceneConfig, symbols: list[PrintedSymbol]) -> Motion:
     """Fill in the start and duration left open; raise UsageError for a code larger than the view."""
     view = plane_to_image(scene)
     image_to_plane = np.linalg.inv(view)

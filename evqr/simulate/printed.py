@@ -15,7 +15,7 @@ from evqr.symbol.symbols import space_of
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
-class Symbol:
+class PrintedSymbol:
     """A code and where it is printed.
 
     Attributes
@@ -39,7 +39,7 @@ class Symbol:
     modules: NDArray[np.uint8]
 
 
-def make_symbol(placement: CodePlacement) -> Symbol:
+def make_symbol(placement: CodePlacement) -> PrintedSymbol:
     """Encode a placement's text; raise UsageError where the version cannot hold it."""
     p, symbology = placement, Symbology(placement.symbology)
     micro = symbology is Symbology.MICRO_QR_CODE
@@ -54,7 +54,7 @@ def make_symbol(placement: CodePlacement) -> Symbol:
         ) from None
     except ValueError as error:  # a level or a kind of text that a Micro QR code's version has not
         raise UsageError(f"simulate: {symbology} cannot say {p.text!r}: {error}") from None
-    return Symbol(
+    return PrintedSymbol(
         placement=p,
         space=space_of(symbology, code.version if micro else int(code.version)),
         ec_level=code.error,

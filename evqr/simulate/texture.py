@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 from evqr.errors import UsageError
 from evqr.simulate.config import SceneConfig
 from evqr.simulate.geometry import code_corners, code_to_object, transform
-from evqr.simulate.printed import Symbol
+from evqr.simulate.printed import PrintedSymbol
 
 #: Texels a px along the travel and across it.  With the default blur of 0.6 px, 6 knots a px put a crossing
 #: within 0.011 px (rms 0.004 px) of where the continuous signal has it.
@@ -72,7 +72,11 @@ def _blurred_box(position: NDArray[np.float64], half: float, sigma: float) -> Im
 
 
 def _print_code(
-    light: Image, origin: NDArray[np.float64], printed: NDArray[np.bool_], symbol: Symbol, scene: SceneConfig
+    light: Image,
+    origin: NDArray[np.float64],
+    printed: NDArray[np.bool_],
+    symbol: PrintedSymbol,
+    scene: SceneConfig,
 ) -> None:
     """Print a code and its quiet zone into ``light``; ``printed`` says where codes are, to refuse overlaps.
 
@@ -203,7 +207,7 @@ def _draw_decoys(
             canvas.box(x + (j + inset) * module, y + (i + inset) * module, size, size, value)
 
 
-def draw_object(scene: SceneConfig, symbols: list[Symbol], rng: np.random.Generator) -> Texture:
+def draw_object(scene: SceneConfig, symbols: list[PrintedSymbol], rng: np.random.Generator) -> Texture:
     """Draw the object as large as its prints need; raise UsageError where codes overlap."""
     half = BARE_HALF_PX
     if symbols:

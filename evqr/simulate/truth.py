@@ -8,13 +8,13 @@ import numpy as np
 
 from evqr.simulate.config import SceneConfig
 from evqr.simulate.geometry import Motion, code_corners, code_to_object, transform
-from evqr.simulate.printed import Symbol
+from evqr.simulate.printed import PrintedSymbol
 
 #: Time between two poses [us].
 POSE_PERIOD_US = 250
 
 
-def truth_of(scene: SceneConfig, motion: Motion, symbols: list[Symbol]) -> dict[str, dict[str, Any]]:
+def truth_of(scene: SceneConfig, motion: Motion, symbols: list[PrintedSymbol]) -> dict[str, dict[str, Any]]:
     """Return what is true of each code: group name ("truth", "truth2", ...) to its fields.
 
     Fields: payload, symbology, version, rows, cols, ec_level ("" without levels), mask (-1 without masks);

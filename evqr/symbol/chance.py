@@ -102,7 +102,7 @@ def log_tail(agreement: NDArray[np.floating]) -> float:
     if total <= 0.0:
         return 0.0
     if not (agreement < 0.0).any():
-        return -math.log(2.0) * np.count_nonzero(weights)
+        return -math.log(2.0) * int(np.count_nonzero(weights))
     # Newton's method for the root of the derivative, which is concave: from its left, it never overshoots.
     rate = math.atanh(total / most) / float(weights.max())
     for _ in range(_NEWTON_STEPS):

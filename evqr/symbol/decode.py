@@ -12,12 +12,15 @@ from evqr.symbol.decoded import Decoded, DecodeFailure, Effort
 from evqr.symbol.space import CodeSpace
 from evqr.symbol.symbols import SYMBOLS
 
+DEFAULT = DecodeConfig()
+"""Made once: checking the settings takes a third as long as reading a clean grid."""
+
 
 def decode_grid(
     q: NDArray[np.floating],
     space: CodeSpace,
     *,
-    config: DecodeConfig | None = None,
+    config: DecodeConfig = DEFAULT,
     effort: Effort = "quick",
 ) -> Decoded | DecodeFailure:
     """Decode an estimated module grid.
@@ -29,8 +32,8 @@ def decode_grid(
         are not looked at.
     space : CodeSpace
         Kind and size of the symbol.
-    config : DecodeConfig, optional
-        How hard to try, and how sure to be; default ``DecodeConfig()``.
+    config : DecodeConfig
+        How hard to try, and how sure to be.
     effort : {"quick", "full"}
         Few tries; or many, and the transpose too (mirrored symbols).
 
@@ -44,7 +47,6 @@ def decode_grid(
     ValueError
         The grid is not of the space's shape, or not finite.
     """
-    config = config or DecodeConfig()
     q = np.asarray(q, dtype=np.float64)
     if q.shape != space.known.shape:
         raise ValueError(f"q must have shape {space.known.shape} for {space}, got {q.shape}")

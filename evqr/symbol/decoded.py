@@ -10,12 +10,13 @@ from numpy.typing import NDArray
 
 from evqr.reason import Reason
 from evqr.symbol.space import CodeSpace, Symbology, Version
+from evqr.values import Value
 
 Effort = Literal["quick", "full"]
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
-class Decoded:
+class Decoded(Value):
     """A symbol, read.
 
     Attributes

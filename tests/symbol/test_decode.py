@@ -1,5 +1,6 @@
 """Module grid -> payload: what is read, what is refused, and that nothing is read into chance."""
 
+import pickle
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import FrozenInstanceError
 
@@ -440,3 +441,21 @@ def test_results_are_frozen():
     assert isinstance(result, Decoded)
     with pytest.raises(FrozenInstanceError):
         result.text = ""  # pyright: ignore[reportAttributeAccessIssue]
+
+
+def test_readings_are_values():
+    grid = make("EVQR", 1, "L")
+    result, again = decode_grid(grid), decode_grid(2.0 * grid)
+    assert result == again == pickle.loads(pickle.dumps(result))
+    assert hash(result) == hash(again)
+    assert result != decode_grid(make("EVQR", 1, "M"))
+    assert isinstance(result, Decoded)
+    with pytest.raises(ValueError, match="read-only"):
+        result.modules[0, 0] = 0
+
+
+def test_numbers_are_plain():
+    result = decode_grid(make("EVQR", 1, "L"))
+    assert isinstance(result, Decoded)
+    assert type(result.log10_chance) is type(result.confidence) is float
+    assert type(result.errors_corrected) is type(result.spare) is int
