@@ -41,7 +41,7 @@ UNITS = {
 }
 """Endings of names, and the unit in brackets that they ask for."""
 
-TO_CONVERT = {"events", "fit", "motion", "offline", "recording", "search", "solver", "stream", "symbol"}
+TO_CONVERT = {"events", "fit", "motion", "offline", "recording", "search", "solver", "stream"}
 """Rooms whose docstrings are still to be brought into the dialect."""
 
 EXPORTED = {

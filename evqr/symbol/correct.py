@@ -54,7 +54,15 @@ class Corrected:
 
 @dataclass(frozen=True, kw_only=True)
 class Doubt:
-    """Why a block could not be corrected: the reason, and what it was in this case."""
+    """Why a block could not be corrected.
+
+    Attributes
+    ----------
+    reason : Reason
+        Why.
+    detail : str
+        What it was in this case.
+    """
 
     reason: Reason
     detail: str

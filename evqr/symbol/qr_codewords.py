@@ -227,6 +227,12 @@ def symbol_of(
     ----------
     codewords : (n,) uint8
         Data and check codewords of the first block, then of the second, ...
+    version : int or str
+        Size of the symbol.
+    level : str, optional
+        Its level of error correction.
+    mask : int
+        Number of its mask.
     """
     layout, masked = codeword_layout(version, level), _masked(version, level, mask)
     modules = masked.symbol.copy()

@@ -53,7 +53,17 @@ class Evidence:
 
 @dataclass(frozen=True, kw_only=True)
 class _Format:
-    """A word of format information: its number, level and mask."""
+    """A word of format information.
+
+    Attributes
+    ----------
+    index : int
+        Its number among those of the version.
+    level : str, optional
+        Level of error correction that it says.
+    mask : int
+        Mask that it says.
+    """
 
     index: int
     level: ErrorLevel | None
