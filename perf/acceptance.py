@@ -145,10 +145,10 @@ def run_scene(name: str, seed: int, preset: str | None) -> dict:
     result = evqr.read_codes(events)
     seconds = time.perf_counter() - started
     texts = [reading.text for reading in result.readings]
-    wanted = {scene.text} if scene.kind == "code" else set()
-    if set(texts) - wanted:
+    expected = {scene.text} if scene.kind == "code" else set()
+    if set(texts) - expected:
         verdict = "false"
-    elif wanted:
+    elif expected:
         verdict = "read" if texts else "missed"
     else:
         verdict = "silent"

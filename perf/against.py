@@ -158,9 +158,9 @@ class Worker:
 
     def ready(self) -> tuple[set[Window], dict[str, str]]:
         """Wait until it has started; give the windows that it can read, and the versions of its packages."""
-        told = self._answer()
-        windows = {Window(case, start, m) for case, start, methods in told["windows"] for m in methods}
-        return windows, told["versions"]
+        answer = self._answer()
+        windows = {Window(case, start, m) for case, start, methods in answer["windows"] for m in methods}
+        return windows, answer["versions"]
 
     def ask(self, window: Window) -> dict[str, Any]:
         """Let it read a window; give milliseconds and text."""
@@ -292,8 +292,8 @@ def time_against(
                     reader: stack.enter_context(contextlib.closing(Worker(tree, device, Path(folder))))
                     for reader, tree in trees.items()
                 }
-                told = {reader: worker.ready() for reader, worker in workers.items()}
-                (here, versions), (there, their_versions) = told[THIS[0]], told[OTHER[0]]
+                ready = {reader: worker.ready() for reader, worker in workers.items()}
+                (here, versions), (there, their_versions) = ready[THIS[0]], ready[OTHER[0]]
                 timed = sorted((window for window in there if kind_of(window, texts)), key=astuple)
                 both = [window for window in timed if window in here]
                 trials += run_trials(workers, both, rounds, seed=start)

@@ -49,7 +49,7 @@ class Target:
         return (self.backend, self.device, self.dtype) == JUDGED
 
 
-def rivals(op: str, target: Target) -> list[Peer]:
+def baselines(op: str, target: Target) -> list[Peer]:
     """Give the rivals that can run; they are for one thread of a CPU, in float32."""
     if (target.device, target.dtype) != ("cpu", "float32"):
         return []
@@ -69,7 +69,7 @@ def check(op: str, target: Target) -> None:
     apart = distance(Prepared(problem, target.backend, target.device).results(), expected)
     if apart > TOLERANCE[np.dtype(target.dtype)]:
         sys.exit(f"gate: {op} of backend {target.backend} is {apart:.1e} from the specification")
-    for peer in rivals(op, target):
+    for peer in baselines(op, target):
         apart = distance([np.asarray(array) for array in peer.prepare(problem)()], expected)
         if apart > peer.tolerance:
             sys.exit(f"gate: {op} of {peer.name} is {apart:.1e} from the specification")
@@ -81,7 +81,7 @@ def time_op(op: str, case: str, target: Target, rounds: int) -> list[Row]:
     prepared = target.prepare(op, size)
     problem = prepared.problem
     contestants = {target.backend: timing.measured(prepared, prepared.wait)}
-    for peer in rivals(op, target):
+    for peer in baselines(op, target):
         contestants[peer.name] = timing.measured(peer.prepare(problem))
     required = {peer: ratio for (name, peer), ratio in cases.PEER_RATIOS.items() if name == op}
     forward = op.removesuffix("_adjoint")

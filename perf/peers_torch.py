@@ -118,8 +118,8 @@ def splat_adjoint(problem: Problem) -> Run:
     image = torch.zeros(adj_image.numel(), dtype=shares.dtype).scatter_add(0, flat, shares)
 
     def run() -> list[Any]:
-        wanted = events[3], motion
-        return list(torch.autograd.grad(image, wanted, adj_image.view(-1), retain_graph=True))
+        varied = events[3], motion
+        return list(torch.autograd.grad(image, varied, adj_image.view(-1), retain_graph=True))
 
     return run
 
@@ -148,9 +148,9 @@ def render_adjoint(problem: Problem) -> Run:
     import torch
 
     grid, to_grid, outside, adj_image = _tensors(*problem.inputs[:3], problem.inputs[4])
-    wanted = grid.requires_grad_(), to_grid.requires_grad_()
+    varied = grid.requires_grad_(), to_grid.requires_grad_()
     image = _render(grid, to_grid, outside, *adj_image.shape[1:])
-    return lambda: list(torch.autograd.grad(image, wanted, adj_image, retain_graph=True))
+    return lambda: list(torch.autograd.grad(image, varied, adj_image, retain_graph=True))
 
 
 def _slope(image: Any, axis: int) -> Any:
@@ -175,7 +175,7 @@ def cost(problem: Problem) -> Run:
         grid, to_grid, outside, displacement, problem.outputs[0]
     )
     window, cfg = _window_of_events(window_ptr), SplatConfig()
-    wanted = [t.requires_grad_() for t in (events[3], motion, grid, to_grid, displacement)]
+    varied = [t.requires_grad_() for t in (events[3], motion, grid, to_grid, displacement)]
 
     def run() -> list[Any]:
         flat, shares = _splat(events, window, motion, lag, frame, image, cfg)
@@ -185,6 +185,6 @@ def cost(problem: Problem) -> Run:
         residual = (
             m[:, 0] * _slope(luminance, 2) + m[:, 1] * _slope(luminance, 1) + splatted.view(image.shape)
         )
-        return list(torch.autograd.grad(0.5 * (residual * residual).sum(), wanted))
+        return list(torch.autograd.grad(0.5 * (residual * residual).sum(), varied))
 
     return run

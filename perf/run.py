@@ -80,10 +80,10 @@ def time_against(arguments: argparse.Namespace, about: dict[str, str]) -> list[R
     import against
 
     recordings = recordings_of(arguments, AGAINST_CASES)
-    told, rows = against.time_against(
+    facts, rows = against.time_against(
         arguments.against, recordings, arguments.device, arguments.rounds or AGAINST_ROUNDS
     )
-    about |= told
+    about |= facts
     return rows
 
 
@@ -103,7 +103,7 @@ def time_ops(arguments: argparse.Namespace, about: dict[str, str]) -> list[Row]:
     import op_times
 
     names = list(ops.PROBLEMS) if "all" in arguments.op else arguments.op
-    wanted = arguments.case or OP_CASES[1:]
+    chosen = arguments.case or OP_CASES[1:]
     target = op_times.Target(arguments.backend, arguments.device, arguments.dtype)
     rounds = arguments.rounds or 11
     about["backend"] = f"{target.backend}, {target.dtype}"
@@ -115,13 +115,13 @@ def time_ops(arguments: argparse.Namespace, about: dict[str, str]) -> list[Row]:
     rows: list[Row] = []
     for op in tqdm(names, disable=len(names) == 1):
         op_times.check(op, target)
-        for case in wanted:
+        for case in chosen:
             if case in cases.SIZES:
                 rows += op_times.time_op(op, case, target, rounds)
-        if "growth" in wanted:
+        if "growth" in chosen:
             rows += op_times.time_growth(op, target, max(3, rounds // 3))
         if (
-            "threads" in wanted
+            "threads" in chosen
             and op in cases.THREADED
             and (target.backend, target.device) == ("warp", "cpu")
         ):

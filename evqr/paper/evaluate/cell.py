@@ -145,9 +145,9 @@ def machine() -> str:
     """Say what computes: processor and how many of them."""
     name = platform.processor() or platform.machine()
     try:
-        told = Path("/proc/cpuinfo").read_text(encoding="utf-8", errors="replace")
+        text = Path("/proc/cpuinfo").read_text(encoding="utf-8", errors="replace")
         name = next(
-            line.split(":", 1)[1].strip() for line in told.splitlines() if line.startswith("model name")
+            line.split(":", 1)[1].strip() for line in text.splitlines() if line.startswith("model name")
         )
     except (OSError, StopIteration):
         pass
@@ -194,13 +194,13 @@ def _seen(method: Method, sequence: Sequence, place: int, cell: Cell, rng: np.ra
 
 def _key(folder: Path, entry: Entry, cell: Cell) -> dict[str, Any]:
     """Give what a kept cell must agree in to be the one that is asked for."""
-    told = {
+    settings = {
         "evaluation": EVALUATION + METHODS[cell.method].revision,
         "cell": asdict(cell),
         "entry": asdict(entry),
         "bytes": (folder / entry.recording).stat().st_size if (folder / entry.recording).is_file() else 0,
     }
-    return json.loads(json.dumps(told))
+    return json.loads(json.dumps(settings))
 
 
 def run_cells(
@@ -278,13 +278,15 @@ def _load(kept: Path, cell: Cell, key: Mapping[str, Any]) -> dict[str, Any] | No
 
 
 def _result(cell: Cell, entry: Entry, record: Mapping[str, Any]) -> CellResult:
-    told = record["picture"]
+    picture = record["picture"]
     size = len(entry.truth().modules)
     return CellResult(
         cell=cell,
         entry=entry,
         trials=tuple(_trial(trial, size) for trial in record["trials"]),
-        picture=None if told is None else _unpacked(told["zlib"]).view(np.uint8).reshape(told["shape"]),
+        picture=None
+        if picture is None
+        else _unpacked(picture["zlib"]).view(np.uint8).reshape(picture["shape"]),
         speed_px_ms=record["speed_px_ms"],
         machine=record["machine"],
         source=record.get("source", "not recorded"),

@@ -31,20 +31,20 @@ class Details:
 
     Attributes
     ----------
-    told : str
+    caption : str
         What it is.
     rows : list of list of str
         Headings first.
     """
 
-    told: str
+    caption: str
     rows: list[list[str]]
 
     @property
     def markdown(self) -> str:
         """The table in Markdown."""
         rows = [self.rows[0], ["---"] * len(self.rows[0]), *self.rows[1:]]
-        return f"{self.told}\n\n" + "".join(f"| {' | '.join(row)} |\n" for row in rows)
+        return f"{self.caption}\n\n" + "".join(f"| {' | '.join(row)} |\n" for row in rows)
 
 
 def details_of(table: Sequence[CellResult], sweep: Sequence[CellResult]) -> list[Details]:
@@ -71,11 +71,11 @@ def descents_of(results: Sequence[CellResult]) -> Details:
         rows[-1] += [text_of(float(np.median(first)) if first else None, ".3g", 1)]
         rows[-1] += [text_of(number, ".3g", 1) for number in (line.score.iterations_to_read, theirs)]
         rows[-1] += [text_of(float(np.mean(few)) if few else None, ".3g", 1), str(len(few))]
-    told = (
+    caption = (
         f"{METHODS['descent'].title}: its start, and its iterations (median of the first step, means of the"
         f" second). The paper takes a code for readable up to about {FEW_WRONG} wrong codewords:"
     )
-    return Details(told=told, rows=rows)
+    return Details(caption=caption, rows=rows)
 
 
 def harder_of(results: Sequence[CellResult]) -> Details:
@@ -95,13 +95,13 @@ def harder_of(results: Sequence[CellResult]) -> Details:
         pairs = [[found.get((scene, angle, share, method)) for method in HARDER] for share in shares]
         rows.append([scene, f"{angle:g}", paper, *(_harder(*pair) for pair in pairs)])
     hard, slow = (METHODS[method].title for method in HARDER)
-    told = (
+    caption = (
         "Scenes made harder, where only a share of the events is kept, at random. Each entry: the read rate"
         f" of {hard}, as a measure of how hard they are; the mean iterations of q that {slow} takes until it"
         f" reads; and until {FEW_WRONG} codewords are wrong, with the number of trials that get there in"
         " brackets. With the paper's pair compare the share that has its read rate:"
     )
-    return Details(told=told, rows=rows)
+    return Details(caption=caption, rows=rows)
 
 
 def _harder(rated: CellResult | None, counted: CellResult | None) -> str:
@@ -137,5 +137,5 @@ def events_of(results: Sequence[CellResult]) -> Details:
                 for a in EDGE_BOUNDS[:-1]
             ]
             rows.append([METHODS[method].title, *cells])
-    told = "Read, of all windows, by a window's events on the code over the edges between its modules:"
-    return Details(told=told, rows=rows)
+    caption = "Read, of all windows, by a window's events on the code over the edges between its modules:"
+    return Details(caption=caption, rows=rows)

@@ -90,12 +90,12 @@ def write_report(
     """
     lines = table_of(table)
     facts = _facts(table, about)
-    told = "".join(f"- {name}: {value}\n" for name, value in facts.items())
+    listed = "".join(f"- {name}: {value}\n" for name, value in facts.items())
     details = details_of(table, sweep)
     written = {
         "table1.md": "\n".join(
             [
-                f"# Table 1\n\n{told}\n{markdown_of(lines)}\n{NOTES.strip()}\n",
+                f"# Table 1\n\n{listed}\n{markdown_of(lines)}\n{NOTES.strip()}\n",
                 *(part.markdown for part in details),
             ]
         ),
@@ -193,7 +193,7 @@ def _html_details(details: Details) -> str:
         for tag, row in zip(["th", *["td"] * len(details.rows)], details.rows, strict=False)
     )
     rows = "".join(f"<tr>{row}</tr>" for row in body)
-    return f"<p>{html.escape(details.told)}</p><table><tr>{head}</tr>{rows}</table>"
+    return f"<p>{html.escape(details.caption)}</p><table><tr>{head}</tr>{rows}</table>"
 
 
 def _grey(cell: str) -> str:

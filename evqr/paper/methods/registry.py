@@ -25,8 +25,8 @@ class Row:
         Of the class.
     quick : mapping of str to Any
         Options more, where a try is enough.
-    told_version : bool
-        Whether the class is told the version of the code, too.
+    given_version : bool
+        Whether the class is given the version of the code, too.
     revision : int
         Raised when the method gives other results: its older cells are then computed again.
     by_name : bool
@@ -37,7 +37,7 @@ class Row:
     target: str
     options: Mapping[str, Any] = field(default_factory=dict)
     quick: Mapping[str, Any] = field(default_factory=dict)
-    told_version: bool = False
+    given_version: bool = False
     revision: int = 0
     by_name: bool = False
 
@@ -60,7 +60,7 @@ METHODS: Mapping[str, Row] = MappingProxyType(
         "descent": Row(
             title="Ours (the paper's)",
             target="evqr.paper.methods.descent:Descent",
-            told_version=True,
+            given_version=True,
             revision=1,
         ),
         "evqr": Row(title="evqr, each window alone", target="evqr.paper.methods.evqr:Own"),
@@ -85,6 +85,6 @@ def make_method(name: str, version: int, *, quick: bool = False) -> Method:
     """Make a method for codes of a version; quick: one that gives up earlier, if it takes long."""
     row = METHODS[name]
     module, _, attribute = row.target.partition(":")
-    told = {"version": version} if row.told_version else {}
+    known = {"version": version} if row.given_version else {}
     more = row.quick if quick else {}
-    return getattr(importlib.import_module(module), attribute)(**row.options, **told, **more)
+    return getattr(importlib.import_module(module), attribute)(**row.options, **known, **more)

@@ -114,7 +114,7 @@ def test_scenes_made_harder(tiny):
         ["scene", "deg.", "the paper's", "100 % of the events", "50 % of the events", "25 % of the events"],
         ["faster", "30", "4 %; 6.04", "100 %; 3 (2); 5 (2)", "0 %; 3 (3); 10.5 (2)", "-"],
     ]
-    assert "w/o QR" in harder.told and "Ours (the paper's)" in harder.told
+    assert "w/o QR" in harder.caption and "Ours (the paper's)" in harder.caption
 
 
 def test_csv_has_a_column_a_number(results):
