@@ -1,6 +1,7 @@
 """Micro QR codes: what is read, by other programs' symbols, and that neither coins nor QR codes are."""
 
 import collections
+import math
 
 import numpy as np
 import pytest
@@ -12,6 +13,7 @@ from hypothesis import strategies as st
 from evqr.config import DecodeConfig
 from evqr.reason import Reason
 from evqr.symbol import micro_qr
+from evqr.symbol.chance import confidence
 from evqr.symbol.decode import decode_grid
 from evqr.symbol.decoded import Decoded, DecodeFailure
 from evqr.symbol.qr_codewords import (
@@ -188,6 +190,23 @@ def test_m1_is_believed_where_all_agrees_and_nowhere_else():
     q = grid.ravel().copy()
     q[of_use[::10]] = 0.0  # what is not known is no evidence
     assert isinstance(decode(q.reshape(11, 11), "M1", effort="full"), DecodeFailure)
+
+
+def test_two_windows_that_are_read_apart_prove_what_one_does_not():
+    """Their logarithms add, where the noise of one is not that of the other: chance.py."""
+    grid = make("40961", "M1", None).astype(float)
+    lenient = DecodeConfig(min_confidence=0.9, wrong_grids=1.0)
+    total = 0.0
+    for module in (20, 100):
+        q = grid.ravel().copy()
+        q[module] *= -1.0
+        q = q.reshape(11, 11)
+        assert isinstance(decode(q, "M1", effort="full"), DecodeFailure)
+        result = decode(q, "M1", config=lenient)
+        assert isinstance(result, Decoded)
+        assert result.text == "40961"
+        total += result.log10_chance
+    assert confidence(total * math.log(10.0), DecodeConfig().wrong_grids) > 0.999
 
 
 def test_contents_that_no_encoder_writes_are_none_of_m1():
