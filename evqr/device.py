@@ -30,7 +30,8 @@ def kernels_on(backend: str, device: str) -> KernelBackend:
     BackendError
         There is no such backend or device here; the message names those that are, or what to install.
     """
-    from evqr_kernels.backend import BackendUnavailable, get_backend, require_device
+    from evqr_kernels.errors import BackendUnavailable
+    from evqr_kernels.registry import get_backend, require_device
 
     try:
         kernels = get_backend(backend)

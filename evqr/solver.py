@@ -19,6 +19,7 @@ from evqr.fit.measure import measure
 from evqr.fit.modules import CodeEstimate, solve_modules
 from evqr.fit.refine import Refinement, refine, with_lags
 from evqr.fit.region import region_around
+from evqr.launched import LAUNCHED
 from evqr.motion import Motion
 from evqr.reason import Reason
 from evqr.search.finder import find_hypotheses
@@ -51,7 +52,7 @@ class Solver:
     ) -> None:
         self.config = config or ReadConfig()
         self.workspace = Workspace(kernels_on(backend, device), device)
-        self.workspace.backend.load(device)
+        self.workspace.backend.load(device, LAUNCHED)
 
     def motion_at(
         self, events: EventBuffer, start_us: int, *, guess: Motion | None = None

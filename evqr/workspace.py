@@ -10,6 +10,8 @@ from typing import TYPE_CHECKING, Any, TypeVar
 import numpy as np
 from numpy.typing import ArrayLike, DTypeLike, NDArray
 
+from evqr_kernels import make_scratch
+
 if TYPE_CHECKING:
     from evqr.events.window import Window
     from evqr_kernels.backend import KernelBackend
@@ -162,6 +164,10 @@ class Workspace(Keeper):
         """Give a device array of a name and shape, the same one each time."""
         key = ("buffer", name, shape, np.dtype(dtype))
         return self.once(key, lambda: self.empty(*shape, dtype=dtype))
+
+    def scratch(self, op: str, floats: DTypeLike = np.float32, **sizes: Any) -> list[Any]:
+        """Make the partial results that an operation takes, for sizes and settings of its table."""
+        return make_scratch(self.backend, self.device, op, floats, **sizes)
 
     def mirror(self, shape: tuple[int, ...], dtype: DTypeLike = np.float32) -> Mirror:
         """Make a device array that the host writes or reads, of zeros."""

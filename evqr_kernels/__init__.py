@@ -1,90 +1,30 @@
 """Array-in, array-out kernels for event cameras and planar codes.
 
-Two doors: the functions below check their arguments and may allocate; the methods of `get_backend` with the
-same names write to buffers that you own, unchecked.  Importing the package loads no backend.
+Two doors: the functions of `evqr_kernels.ops`, which are here too, check their arguments and may allocate;
+the methods of `get_backend` with the same names write to buffers that you own, unchecked.  Importing the
+package loads no backend.
 """
 
-from evqr_kernels.backend import (
-    BackendUnavailable,
-    KernelBackend,
-    backend_names,
-    get_backend,
-    register_backend,
-)
-from evqr_kernels.config import KernelSet, SplatConfig
-from evqr_kernels.ops import (
-    align_poses,
-    bin_events,
-    brightness_cost,
-    brightness_cost_adjoint,
-    brightness_residual,
-    brightness_residual_adjoint,
-    clip_outliers,
-    code_normal_equations,
-    code_product,
-    code_rhs,
-    correlate_templates,
-    deposit_events,
-    deposit_events_adjoint,
-    lag_operator,
-    lag_operator_adjoint,
-    local_maxima,
-    match_corners,
-    merge_maxima,
-    mix_images,
-    motion_correlation,
-    pose_normal_equations,
-    pull_modules,
-    reduce_image,
-    render_code,
-    render_code_adjoint,
-    sample_moments,
-    sample_moments_adjoint,
-    solve_code,
-    solve_code_banded,
-    splat_events,
-    splat_events_adjoint,
-    surface_peak,
-)
+# ruff: noqa: F403
+from evqr_kernels import ops
+from evqr_kernels.backend import KernelBackend
+from evqr_kernels.call import make_scratch
+from evqr_kernels.config import SplatConfig
+from evqr_kernels.errors import BackendUnavailable, KernelError, OperationRefused
+from evqr_kernels.operations import OPERATIONS
+from evqr_kernels.ops import *
+from evqr_kernels.registry import backend_names, get_backend, register_backend
 
 __all__ = [
+    "OPERATIONS",
     "BackendUnavailable",
     "KernelBackend",
-    "KernelSet",
+    "KernelError",
+    "OperationRefused",
     "SplatConfig",
-    "align_poses",
     "backend_names",
-    "bin_events",
-    "brightness_cost",
-    "brightness_cost_adjoint",
-    "brightness_residual",
-    "brightness_residual_adjoint",
-    "clip_outliers",
-    "code_normal_equations",
-    "code_product",
-    "code_rhs",
-    "correlate_templates",
-    "deposit_events",
-    "deposit_events_adjoint",
     "get_backend",
-    "lag_operator",
-    "lag_operator_adjoint",
-    "local_maxima",
-    "match_corners",
-    "merge_maxima",
-    "mix_images",
-    "motion_correlation",
-    "pose_normal_equations",
-    "pull_modules",
-    "reduce_image",
+    "make_scratch",
     "register_backend",
-    "render_code",
-    "render_code_adjoint",
-    "sample_moments",
-    "sample_moments_adjoint",
-    "solve_code",
-    "solve_code_banded",
-    "splat_events",
-    "splat_events_adjoint",
-    "surface_peak",
 ]
+__all__ += ops.__all__

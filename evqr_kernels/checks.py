@@ -65,14 +65,15 @@ class ArrayChecks:
             raise TypeError(f"{name} must be {self.dtype} like the arrays before it, got {array.dtype}")
         self._shape(name, array, shape)
 
-    def parameters(self, name: str, array: Any, counts: tuple[int, ...]) -> None:
+    def parameters(self, name: str, array: Any, counts: tuple[int, ...], letter: Extent) -> None:
         """Raise unless ``array`` is of floats, with one of the counts of parameters for each window."""
         self._numpy(name, array)
         count = array.shape[-1] if array.ndim else 0
         if len(counts) > 1 and count not in counts:
             wanted = " or ".join(f"(B, {count})" for count in counts)
             raise ValueError(f"{name} must have shape {wanted}, got {array.shape}")
-        self.floats(name, array, "B", count if count in counts else min(counts))
+        self.sizes[str(letter)] = count if count in counts else min(counts)
+        self.floats(name, array, "B", self.sizes[str(letter)])
 
     def ints(self, name: str, array: Any, *shape: Extent) -> None:
         """Raise unless ``array`` is int32 and has the shape."""

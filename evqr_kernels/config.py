@@ -15,8 +15,10 @@ class SplatConfig:
 
     Attributes
     ----------
-    epsilon_px : standard deviation of the Gaussian before it is taken to zero, 0.3 to 8 [image px]
-    radius_px  : where the splat ends, at most 8 standard deviations [image px]; 3 by default
+    epsilon_px : float [image px]
+        Standard deviation of the Gaussian before it is taken to zero, 0.3 to 8.
+    radius_px : float [image px]
+        Where the splat ends, at most 8 standard deviations and 32 pixels; 3 standard deviations by default.
     """
 
     epsilon_px: float = 0.8
@@ -48,20 +50,3 @@ class SplatConfig:
         offsets = (2.0 * k / steps - 1.0 for k in range(1, steps))
         total = sum(self.gauss(s * self.radius_px) * (1.0 - s * s) ** 2 for s in offsets)
         return steps / (2.0 * self.radius_px * total)
-
-
-@dataclass(frozen=True, kw_only=True)
-class KernelSet:
-    """What kernels to load ahead of their first use, beside those that reading a code always launches.
-
-    Attributes
-    ----------
-    splats        : those that `splat_events` and its adjoint will be asked for; reading a code needs none
-    table_columns : functions in the tables of `align_poses`
-    """
-
-    splats: tuple[SplatConfig, ...] = ()
-    table_columns: int = 20
-
-
-DEFAULT_KERNELS = KernelSet()

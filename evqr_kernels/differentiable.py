@@ -1,234 +1,240 @@
 """What a framework with automatic differentiation must know of an operation: shapes, and its two directions.
 
-`evqr_kernels.torch` and `evqr_kernels.jax` make differentiable functions of these rules.  A rule allocates
-nothing: the framework makes all buffers, arrays of its own kind, and hands over views of them in the order of
-the operation's arguments.
+`evqr_kernels.torch` and `evqr_kernels.jax` make differentiable functions of the operations of the table that
+have an adjoint.  A rule allocates nothing: the framework makes all buffers, arrays of its own kind, and hands
+over views of them in the order of the operation's arguments.
 """
 
 from __future__ import annotations
 
-import functools
+import inspect
+import re
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, TypeVar
 
 import numpy as np
 from numpy.typing import DTypeLike
 
-from evqr_kernels import arguments
+from evqr_kernels import ops
 from evqr_kernels.backend import Array
-from evqr_kernels.checks import ArrayChecks, check_size
-from evqr_kernels.config import SplatConfig
-from evqr_kernels.launch import chunks_of, chunks_of_samples
+from evqr_kernels.call import check_call, run_operation
+from evqr_kernels.checks import check_size
+from evqr_kernels.operation import Input, Operation, Output, Scratch, Shape, Written, shape_of
+from evqr_kernels.operations import OPERATIONS
 
-Shape = tuple[int, ...]
 Shapes = Mapping[str, Shape]
 Arrays = Sequence[Array]
-Backend = Any  # a KernelBackend, whose arguments a type checker cannot count when they are unpacked
+A = TypeVar("A", bound=Any)
+Backend = Any  # a KernelBackend
 
 
-def _nothing(sizes: Shapes) -> list[Shape]:
-    return []
-
-
-@dataclass(frozen=True, kw_only=True, eq=False)
+@dataclass(frozen=True)
 class Rule:
-    """An operation with its settings; the same settings give the same rule.
+    """An operation with its settings; those with the same settings are equal.
 
     Attributes
     ----------
-    op               name of the operation
-    inputs           names of the inputs, in order
-    require          (checks, inputs): raises unless their dtypes and shapes, and the settings, fit
-    indices          inputs that are int32
-    varied           inputs that it has an adjoint in
-    added            an input that is just added: its adjoint is that of the output
-    output           shape of the output, from those of the inputs
-    forward_scratch  shapes of partial results
-    adjoint_scratch  shapes of the adjoint's partial results
-    forward          (backend, inputs, scratch, output): overwrites the output
-    adjoint          (backend, inputs, adjoint of the output, scratch, adjoints of ``varied``): overwrites
+    op : str
+        Name of the operation.
+    settings : tuple of (str, object)
+        Settings and sizes that are not those of inputs, by name.
     """
 
     op: str
-    inputs: tuple[str, ...]
-    require: Callable[..., None]
-    indices: tuple[str, ...] = ()
-    varied: tuple[str, ...]
-    added: str | None = None
-    output: Callable[[Shapes], Shape]
-    forward_scratch: Callable[[Shapes], list[Shape]] = _nothing
-    adjoint_scratch: Callable[[Shapes], list[Shape]] = _nothing
-    forward: Callable[[Backend, Arrays, Arrays, Array], None]
-    adjoint: Callable[[Backend, Arrays, Array, Arrays, Arrays], None]
+    settings: tuple[tuple[str, Any], ...]
 
-    def check(self, shapes: Shapes, dtypes: Mapping[str, DTypeLike]) -> np.dtype[Any]:
-        """Raise TypeError or ValueError unless the inputs fit; give their dtype.  Looks at no values."""
-        checks = ArrayChecks()
+    @property
+    def operation(self) -> Operation:
+        """The operation."""
+        return OPERATIONS[self.op]
+
+    @property
+    def adjoint_operation(self) -> Operation:
+        """Its adjoint."""
+        assert self.operation.adjoint is not None
+        return OPERATIONS[self.operation.adjoint]
+
+    @property
+    def inputs(self) -> tuple[str, ...]:
+        """Names of the inputs, in order."""
+        return tuple(array.name for array in self.operation.inputs)
+
+    @property
+    def indices(self) -> tuple[str, ...]:
+        """Inputs that are int32."""
+        return tuple(array.name for array in self.operation.inputs if array.integer)
+
+    @property
+    def varied(self) -> tuple[str, ...]:
+        """Inputs that the adjoint is in, in its order."""
+        return tuple(adjoint_of(output) for output in self.adjoint_operation.outputs)
+
+    @property
+    def added(self) -> tuple[str, ...]:
+        """Inputs that are just added: their adjoint is that of the output."""
+        return self.operation.passes_on
+
+    def check(self, shapes: Shapes, dtypes: Mapping[str, DTypeLike]) -> None:
+        """Raise TypeError or ValueError unless the inputs fit.  Looks at no values."""
         # of the same shapes and dtypes, in four bytes each
-        likes = (np.broadcast_to(np.zeros((), dtypes[name]), shapes[name]) for name in self.inputs)
-        self.require(checks, *likes)
-        for shape in (self.output(shapes), *self.forward_scratch(shapes), *self.adjoint_scratch(shapes)):
+        likes = {name: np.broadcast_to(np.zeros((), dtypes[name]), shapes[name]) for name in self.inputs}
+        check_call(self.operation, {**likes, **dict(self.settings)})
+        forward, backward = (
+            op.variant("warp", "cpu").tile for op in (self.operation, self.adjoint_operation)
+        )
+        scratch = *self.forward_scratch(shapes, forward), *self.adjoint_scratch(shapes, backward)
+        for shape in (self.output(shapes), *scratch):
             check_size(self.op, shape)
-        return checks.dtype or np.dtype(np.float32)
+
+    def sizes(self, shapes: Shapes, tile: int) -> dict[str, Any]:
+        """Give values of letters and settings."""
+        return {**self.operation.bind(shapes, dict(self.settings)), "tile": tile}
+
+    def output(self, shapes: Shapes) -> Shape:
+        """Give the shape of the output, from those of the inputs."""
+        (output,) = self.operation.outputs
+        return shape_of(output, self.sizes(shapes, 1))
+
+    def forward_scratch(self, shapes: Shapes, tile: int) -> list[Shape]:
+        """Give the shapes of partial results; ``tile`` is the backend's for the operation."""
+        return [shape_of(array, self.sizes(shapes, tile)) for array in self.operation.scratch]
+
+    def adjoint_scratch(self, shapes: Shapes, tile: int) -> list[Shape]:
+        """Give the shapes of the adjoint's partial results; ``tile`` is the backend's for the adjoint."""
+        return [shape_of(array, self.sizes(shapes, tile)) for array in self.adjoint_operation.scratch]
+
+    def forward(self, backend: Backend, given: Arrays, scratch: Arrays, out: Array) -> None:
+        """Compute the output, which is overwritten."""
+        self._run(backend, self.operation, dict(zip(self.inputs, given, strict=True)), scratch, [out])
+
+    def adjoint(self, backend: Backend, given: Arrays, adj: Array, scratch: Arrays, adjoints: Arrays) -> None:
+        """Compute the adjoints of ``varied`` from that of the output; they are overwritten."""
+        (output,) = self.operation.outputs
+        arrays = dict(zip(self.inputs, given, strict=True))
+        arrays[f"adj_{output.name.removesuffix('_out')}"] = adj
+        self._run(backend, self.adjoint_operation, arrays, scratch, adjoints)
+
+    def _run(
+        self, backend: Backend, operation: Operation, arrays: dict[str, Array], scratch: Arrays, outs: Arrays
+    ) -> None:
+        partial, written, values = iter(scratch), iter(outs), {**arrays, **dict(self.settings)}
+        for argument in operation.arguments:
+            if isinstance(argument, Scratch):
+                values[argument.name] = next(partial)
+            elif isinstance(argument, Output):
+                values[argument.name] = out = next(written)
+                if argument.written is not Written.OVERWRITTEN:
+                    backend.clear(out)
+        run_operation(backend, operation, values)
 
 
-EVENTS = ("x", "y", "t", "weight", "window_ptr")
+def adjoint_of(output: Output) -> str:
+    """Give the input that an adjoint's output is of."""
+    return output.name.removeprefix("adj_").removesuffix("_out")
 
 
-@functools.lru_cache(maxsize=128)
-def splat_events(shape: tuple[int, int], cfg: SplatConfig) -> Rule:
-    """Give the rule of `evqr_kernels.splat_events`: in weight and motion."""
+class Front:
+    """The differentiable function of an operation: its arguments, and what is said of it.
 
-    def forward(backend: Backend, given: Arrays, scratch: Arrays, out: Array) -> None:
-        backend.clear(out)
-        backend.splat_events(*given, out, cfg)
+    Parameters
+    ----------
+    op : str
+        Name of the operation.
+    array : str
+        What the framework calls its arrays, for the signature.
+    """
 
-    return Rule(
-        op="splat_events",
-        inputs=(*EVENTS, "motion", "lag", "frame"),
-        require=arguments.splat_events,
-        indices=("window_ptr",),
-        varied=("weight", "motion"),
-        output=lambda sizes: (sizes["motion"][0], *shape),
-        adjoint_scratch=lambda sizes: [
-            (sizes["motion"][0], chunks_of(sizes["x"][0], sizes["motion"][0]), sizes["motion"][1])
-        ],
-        forward=forward,
-        adjoint=lambda backend, given, adj, scratch, adjoints: backend.splat_events_adjoint(
-            *given, adj, *scratch, *adjoints, cfg
-        ),
-    )
+    def __init__(self, op: str, array: str) -> None:
+        self.operation = OPERATIONS[op]
+        parameters = inspect.signature(getattr(ops, op)).parameters.values()
+        kept = [p for p in parameters if p.name not in ("out", "backend", "device")]
+        arrays = {a.name for a in self.operation.inputs}
+        self.signature = inspect.Signature(
+            [
+                p.replace(
+                    annotation=p.annotation.replace("Floats", array).replace("Ints", array)
+                    if p.name in arrays
+                    else p.annotation.removesuffix(" | None" * (p.name == "shape")),
+                    default=p.empty if p.name == "shape" else p.default,
+                )
+                for p in kept
+            ],
+            return_annotation=array,
+        )
 
+    def bound(
+        self,
+        args: tuple[Any, ...],
+        kwargs: dict[str, Any],
+        require: Callable[[str, Any], A],
+        default: Callable[[Input, Shape, A], A],
+    ) -> tuple[Rule, list[A]]:
+        """Give the rule of a call and its arrays.
 
-@functools.lru_cache(maxsize=128)
-def deposit_events(shape: tuple[int, int]) -> Rule:
-    """Give the rule of `evqr_kernels.deposit_events`: in the weight."""
+        Parameters
+        ----------
+        args, kwargs : tuple, dict
+            What the function was called with.
+        require : callable
+            Raises TypeError unless what has a name is an array.
+        default : callable
+            Makes what stands for an input that is not given, of a shape, like an array of floats.
+        """
+        call = self.signature.bind(*args, **kwargs)
+        call.apply_defaults()
+        values = call.arguments
+        settings = []
+        for setting in self.operation.settings:
+            value = values[setting.name]
+            value = setting.default if value is None else value
+            settings.append((setting.name, tuple(value) if isinstance(value, list) else value))
+        rule = Rule(self.operation.name, tuple(settings))
+        given = {
+            array.name: require(array.name, values[array.name])
+            for array in self.operation.inputs
+            if values[array.name] is not None or array.default is None
+        }
+        sizes = self.operation.bind({n: tuple(a.shape) for n, a in given.items()}, dict(settings))
+        like = next(given[array.name] for array in self.operation.inputs if not array.integer)
+        for array in self.operation.inputs:
+            if array.name not in given:
+                # 0 where no other input tells a size: the check says what is wrong with that
+                shape = tuple(sizes.get(n, 0) if isinstance(n, str) else n for n in array.shape)
+                given[array.name] = default(array, shape, like)
+        return rule, [given[name] for name in rule.inputs]
 
-    def forward(backend: Backend, given: Arrays, scratch: Arrays, out: Array) -> None:
-        backend.clear(out)
-        backend.deposit_events(*given, out)
+    def dress(self, function: Callable[..., Any]) -> Callable[..., Any]:
+        """Give a function the name, signature and documentation of this one."""
+        function.__name__ = function.__qualname__ = self.operation.name
+        function.__signature__ = self.signature  # pyright: ignore[reportFunctionMemberAccess]
+        function.__doc__ = self.documentation
+        return function
 
-    return Rule(
-        op="deposit_events",
-        inputs=(*EVENTS, "motion", "frame"),
-        require=arguments.deposit_events,
-        indices=("window_ptr",),
-        varied=("weight",),
-        output=lambda sizes: (sizes["motion"][0], 2, *shape),
-        forward=forward,
-        adjoint=lambda backend, given, adj, scratch, adjoints: backend.deposit_events_adjoint(
-            *given, adj, *adjoints
-        ),
-    )
+    @property
+    def documentation(self) -> str:
+        """What is said of it: the rest is said of the checked function."""
+        op, original = self.operation.name, inspect.getdoc(getattr(ops, self.operation.name)) or ""
+        as_there = ", ".join(name for name in self.signature.parameters if name != "shape")
+        shape = (
+            "shape : (int, int)\n    (Y, X) of the image.\n" if "shape" in self.signature.parameters else ""
+        )
+        (result,) = re.findall(r"^Returns\n-+\n(.*)", original, re.MULTILINE)
+        rule = Rule(op, ())
+        *others, last = (f"``{name}``" for name in rule.inputs if name in (*rule.varied, *rule.added))
+        return f"""{original.partition(".")[0]}: `evqr_kernels.{op}`.
 
+Parameters
+----------
+{as_there}
+    As there.
+{shape}
+Returns
+-------
+{result}
+    A new one.  Differentiable in {" and ".join(filter(None, (", ".join(others), last)))}.
 
-@functools.cache
-def lag_operator() -> Rule:
-    """Give the rule of `evqr_kernels.lag_operator`: in the deposit."""
-
-    def shape(sizes: Shapes) -> Shape:
-        return sizes["lag"][0], *sizes["deposit"][2:]
-
-    def rows(sizes: Shapes) -> list[Shape]:
-        return [(sizes["lag"][0], *sizes["deposit"][1:])]
-
-    return Rule(
-        op="lag_operator",
-        inputs=("deposit", "deposit_idx", "direction", "lag", "taps"),
-        require=arguments.lag_operator,
-        indices=("deposit_idx",),
-        varied=("deposit",),
-        output=shape,
-        forward_scratch=rows,
-        adjoint_scratch=rows,
-        forward=lambda backend, given, scratch, out: backend.lag_operator(*given, *scratch, out),
-        adjoint=lambda backend, given, adj, scratch, adjoints: backend.lag_operator_adjoint(
-            *given[1:], adj, *scratch, *adjoints
-        ),
-    )
-
-
-@functools.lru_cache(maxsize=128)
-def render_code(shape: tuple[int, int], sigma: float) -> Rule:
-    """Give the rule of `evqr_kernels.render_code`: in grid and map."""
-    return Rule(
-        op="render_code",
-        inputs=("grid", "to_grid", "outside"),
-        require=functools.partial(arguments.render_code, sigma=sigma),
-        varied=("grid", "to_grid"),
-        output=lambda sizes: (sizes["grid"][0], *shape),
-        adjoint_scratch=lambda sizes: [(sizes["grid"][0], shape[0], sizes["to_grid"][1])],
-        forward=lambda backend, given, scratch, out: backend.render_code(*given, sigma, out),
-        adjoint=lambda backend, given, adj, scratch, adjoints: backend.render_code_adjoint(
-            *given, sigma, adj, *scratch, *adjoints
-        ),
-    )
-
-
-@functools.cache
-def brightness_residual() -> Rule:
-    """Give the rule of `evqr_kernels.brightness_residual`: in all its inputs."""
-    return Rule(
-        op="brightness_residual",
-        inputs=("luminance", "events_image", "motion"),
-        require=arguments.brightness_residual,
-        varied=("luminance", "motion"),
-        added="events_image",
-        output=lambda sizes: sizes["luminance"],
-        adjoint_scratch=lambda sizes: [(*sizes["luminance"][:2], 2)],
-        forward=lambda backend, given, scratch, out: backend.brightness_residual(*given, out),
-        adjoint=lambda backend, given, adj, scratch, adjoints: backend.brightness_residual_adjoint(
-            given[0], given[2], adj, *scratch, *adjoints
-        ),
-    )
-
-
-@functools.cache
-def brightness_cost() -> Rule:
-    """Give the rule of `evqr_kernels.brightness_cost`: in all its inputs but the mask."""
-
-    def adjoint(backend: Backend, given: Arrays, adj: Array, scratch: Arrays, adjoints: Arrays) -> None:
-        backend.brightness_cost_adjoint(*given, adj, *scratch, *adjoints)
-
-    return Rule(
-        op="brightness_cost",
-        inputs=("luminance", "events_image", "motion", "mask"),
-        require=arguments.brightness_cost,
-        varied=("luminance", "events_image", "motion"),
-        output=lambda sizes: sizes["luminance"][:1],
-        forward_scratch=lambda sizes: [sizes["luminance"][:2]],
-        adjoint_scratch=lambda sizes: [(*sizes["luminance"][:2], 2)],
-        forward=lambda backend, given, scratch, out: backend.brightness_cost(*given, *scratch, out),
-        adjoint=adjoint,
-    )
-
-
-@functools.cache
-def sample_moments() -> Rule:
-    """Give the rule of `evqr_kernels.sample_moments`: in the image."""
-
-    def forward(backend: Backend, given: Arrays, scratch: Arrays, out: Array) -> None:
-        backend.clear(out)  # what is not active is left as it is
-        backend.sample_moments(*given, *scratch, out)
-
-    def adjoint(backend: Backend, given: Arrays, adj: Array, scratch: Arrays, adjoints: Arrays) -> None:
-        backend.clear(adjoints[0])
-        backend.sample_moments_adjoint(*given, adj, *adjoints)
-
-    def shape(sizes: Shapes) -> Shape:
-        return sizes["pose"][0], sizes["table"][1] + 1
-
-    return Rule(
-        op="sample_moments",
-        inputs=("image", "image_idx", "pose", "active", "points", "table"),
-        require=arguments.sample_moments,
-        indices=("image_idx", "active"),
-        varied=("image",),
-        output=shape,
-        forward_scratch=lambda sizes: [
-            (sizes["pose"][0], chunks_of_samples(sizes["points"][0]), shape(sizes)[1])
-        ],
-        forward=forward,
-        adjoint=adjoint,
-    )
+Notes
+-----
+The backward pass is `evqr_kernels.{self.operation.adjoint}`.
+"""

@@ -1,6 +1,6 @@
 """Arrays without a copy: NumPy's, and of any library that speaks DLPack or one of the array interfaces.
 
-The checked functions take them wherever they lie in the host's memory (`any_arrays`), and refuse what would
+The checked functions take them wherever they lie in the host's memory (`host_view`), and refuse what would
 have to be copied, whoever made it.  For a backend's own methods `warp_view` gives Warp's view of an array,
 on a GPU too.
 """
@@ -8,42 +8,33 @@ on a GPU too.
 from __future__ import annotations
 
 import contextlib
-import functools
-import inspect
-from collections.abc import Callable, Iterator
-from typing import Any, ParamSpec, TypeVar
+from collections.abc import Iterator
+from typing import Any
 
 import numpy as np
 
-from evqr_kernels.backend import Array, get_backend
+from evqr_kernels.backend import Array
 from evqr_kernels.checks import check_contiguous, check_dtype
-
-P = ParamSpec("P")
-R = TypeVar("R")
+from evqr_kernels.registry import get_backend
 
 PROTOCOLS = ("__dlpack__", "__cuda_array_interface__", "__array_interface__")
-
-
-def any_arrays(function: Callable[P, R]) -> Callable[P, R]:
-    """Let a checked function take arrays of any library; it sees NumPy's views of them."""
-    names = list(inspect.signature(function).parameters)
-    call: Callable[..., R] = function
-
-    @functools.wraps(function)
-    def with_views(*args: P.args, **kwargs: P.kwargs) -> R:
-        positional = [host_view(name, value) for name, value in zip(names, args, strict=False)]
-        positional += args[len(names) :]  # too many: Python says so
-        named = {name: host_view(name, value) for name, value in kwargs.items()}
-        return call(*positional, **named)
-
-    return with_views
 
 
 def host_view(name: str, value: Any) -> Any:
     """Give NumPy's view of an array of any library; what is no array as it is.
 
-    The view is read-only where the library says so: one of JAX is, and with NumPy before 2.1 any that came
-    through DLPack.
+    Parameters
+    ----------
+    name : str
+        What a message calls it.
+    value : object
+        An array, or anything else.
+
+    Returns
+    -------
+    view : NDArray or object
+        Read-only where the library says so: one of JAX is, and with NumPy before 2.1 any that came through
+        DLPack.
 
     Raises
     ------
@@ -75,7 +66,13 @@ def warp_view(array: Any) -> Array:
 
     Parameters
     ----------
-    array   float32, float64 or int32; speaks DLPack or one of the array interfaces
+    array : array
+        float32, float64 or int32; speaks DLPack or one of the array interfaces.
+
+    Returns
+    -------
+    view : array
+        Warp's; keeps the array alive.
 
     Raises
     ------

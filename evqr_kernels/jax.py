@@ -22,7 +22,7 @@ from __future__ import annotations
 
 import functools
 import inspect
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from typing import Any
 
 import jax
@@ -30,10 +30,9 @@ import jax.numpy as jnp
 import numpy as np
 import warp as wp
 
-from evqr_kernels import differentiable
-from evqr_kernels.backend import get_backend
-from evqr_kernels.config import SplatConfig
-from evqr_kernels.differentiable import Rule, Shape
+from evqr_kernels.differentiable import Front, Rule, Shape
+from evqr_kernels.operation import Input
+from evqr_kernels.registry import get_backend
 
 __all__ = [
     "brightness_cost",
@@ -49,186 +48,26 @@ _DTYPES = {"float32": wp.float32, "float64": wp.float64, "int32": wp.int32}
 Ranks = tuple[int, ...]
 
 
-def splat_events(
-    x: jax.Array, y: jax.Array, t: jax.Array, weight: jax.Array, window_ptr: jax.Array, motion: jax.Array, *,
-    shape: tuple[int, int], lag: jax.Array | None = None, frame: jax.Array | None = None,
-    cfg: SplatConfig | None = None,
-) -> jax.Array:  # fmt: skip
-    """Scatter transported events as splats: `evqr_kernels.splat_events`.
-
-    Parameters
-    ----------
-    x, y, t, weight, window_ptr, motion, lag, frame, cfg
-        As there.
-    shape : (int, int)
-        (Y, X) of the image.
-
-    Returns
-    -------
-    image : (B, Y, X) float [weight]
-        A new one.  Differentiable in ``weight`` and ``motion``; the direction
-        of lags counts as fixed.
-
-    Notes
-    -----
-    The backward pass is `evqr_kernels.splat_events_adjoint`.
-    """
-    lag = _rows((0.0, 0.0), motion) if lag is None else lag
-    frame = _rows((0.0, 0.0, 1.0), motion) if frame is None else frame
-    rule = differentiable.splat_events(shape, cfg or SplatConfig())
-    return _apply(rule, x, y, t, weight, window_ptr, motion, lag, frame)
-
-
-def deposit_events(
-    x: jax.Array, y: jax.Array, t: jax.Array, weight: jax.Array, window_ptr: jax.Array, motion: jax.Array, *,
-    shape: tuple[int, int], frame: jax.Array | None = None,
-) -> jax.Array:  # fmt: skip
-    """Share transported events among four cells each: `evqr_kernels.deposit_events`.
-
-    Parameters
-    ----------
-    x, y, t, weight, window_ptr, motion, frame
-        As there.
-    shape : (int, int)
-        (Y, X) of the images.
-
-    Returns
-    -------
-    deposit : (B, 2, Y, X) float [weight]
-        A new one.  Differentiable in ``weight``.
-
-    Notes
-    -----
-    The backward pass is `evqr_kernels.deposit_events_adjoint`.
-    """
-    frame = _rows((0.0, 0.0, 1.0), motion) if frame is None else frame
-    return _apply(differentiable.deposit_events(shape), x, y, t, weight, window_ptr, motion, frame)
-
-
-def lag_operator(
-    deposit: jax.Array, deposit_idx: jax.Array, direction: jax.Array, lag: jax.Array, taps: jax.Array
-) -> jax.Array:
-    """Blur deposits and undo pixels that lag: `evqr_kernels.lag_operator`.
-
-    Parameters
-    ----------
-    deposit, deposit_idx, direction, lag, taps
-        As there.
-
-    Returns
-    -------
-    image : (N, Y, X) float [weight]
-        A new one.  Differentiable in ``deposit``.
-
-    Notes
-    -----
-    The backward pass is `evqr_kernels.lag_operator_adjoint`.
-    """
-    return _apply(differentiable.lag_operator(), deposit, deposit_idx, direction, lag, taps)
-
-
-def render_code(
-    grid: jax.Array, to_grid: jax.Array, outside: jax.Array, *, shape: tuple[int, int], sigma: float = 0.0
-) -> jax.Array:
-    """Image of a grid of modules: `evqr_kernels.render_code`.
-
-    Parameters
-    ----------
-    grid, to_grid, outside, sigma
-        As there.
-    shape : (int, int)
-        (Y, X) of the image.
-
-    Returns
-    -------
-    image : (B, Y, X) float [of grid]
-        A new one.  Differentiable in ``grid`` and ``to_grid``.
-
-    Notes
-    -----
-    The backward pass is `evqr_kernels.render_code_adjoint`.
-    """
-    return _apply(differentiable.render_code(shape, sigma), grid, to_grid, outside)
-
-
-def brightness_residual(luminance: jax.Array, events_image: jax.Array, motion: jax.Array) -> jax.Array:
-    """Slope of the luminance along the motion, plus the events: `evqr_kernels.brightness_residual`.
-
-    Parameters
-    ----------
-    luminance, events_image, motion
-        As there.
-
-    Returns
-    -------
-    residual : (B, Y, X) float [of luminance]
-        A new one.  Differentiable in ``luminance``, ``events_image`` and ``motion``.
-
-    Notes
-    -----
-    The backward pass is `evqr_kernels.brightness_residual_adjoint` in luminance and motion; events images get
-    the residual's adjoint as it is.
-    """
-    return _apply(differentiable.brightness_residual(), luminance, events_image, motion)
-
-
-def brightness_cost(
-    luminance: jax.Array, events_image: jax.Array, motion: jax.Array, *, mask: jax.Array | None = None
-) -> jax.Array:
-    """Half the weighted sum of squared residuals: `evqr_kernels.brightness_cost`.
-
-    Parameters
-    ----------
-    luminance, events_image, motion, mask
-        As there; weights of the mask below 0 are not looked for.
-
-    Returns
-    -------
-    cost : (B,) float [luminance^2]
-        A new one.  Differentiable in ``luminance``, ``events_image`` and ``motion``; a mask is held.
-
-    Notes
-    -----
-    The backward pass is `evqr_kernels.brightness_cost_adjoint`.
-    """
-    mask = jnp.ones_like(luminance) if mask is None else mask
-    return _apply(differentiable.brightness_cost(), luminance, events_image, motion, mask)
-
-
-def sample_moments(
-    image: jax.Array, image_idx: jax.Array, pose: jax.Array, points: jax.Array, table: jax.Array, *,
-    active: jax.Array | None = None,
-) -> jax.Array:  # fmt: skip
-    """Moments of images seen through poses: `evqr_kernels.sample_moments`.
-
-    Parameters
-    ----------
-    image, image_idx, pose, points, table, active
-        As there.
-
-    Returns
-    -------
-    moments : (N, C + 1) float [weight x table, weight^2]
-        New ones.  Differentiable in ``image``.
-
-    Notes
-    -----
-    The backward pass is `evqr_kernels.sample_moments_adjoint`.
-    """
-    if active is None:
-        active = jnp.ones_like(_array("image_idx", image_idx))
-    return _apply(differentiable.sample_moments(), image, image_idx, pose, active, points, table)
-
-
 def _array(name: str, value: Any) -> jax.Array:
     if not isinstance(value, jax.Array):
         raise TypeError(f"{name} must be a jax.Array, got {type(value).__name__}")
     return value
 
 
-def _rows(row: Sequence[float], motion: jax.Array) -> jax.Array:
-    """Repeat a row for each window that there is a motion of."""
-    return jnp.tile(jnp.array(row, _array("motion", motion).dtype), (*motion.shape[:1], 1))
+def _default(array: Input, shape: Shape, like: jax.Array) -> jax.Array:
+    """Make what stands for an input that is not given."""
+    return jnp.broadcast_to(jnp.array(array.default, jnp.int32 if array.integer else like.dtype), shape)
+
+
+def _function(op: str) -> Callable[..., jax.Array]:
+    """Make the differentiable function of an operation."""
+    front = Front(op, "jax.Array")
+
+    def function(*args: Any, **kwargs: Any) -> jax.Array:
+        rule, arrays = front.bound(args, kwargs, _array, _default)
+        return _apply(rule, *arrays)
+
+    return front.dress(function)
 
 
 def _apply(rule: Rule, *arrays: jax.Array) -> jax.Array:
@@ -243,7 +82,7 @@ def _apply(rule: Rule, *arrays: jax.Array) -> jax.Array:
 @functools.partial(jax.custom_vjp, nondiff_argnums=(0,))
 def _differentiable(rule: Rule, *arrays: jax.Array) -> jax.Array:
     sizes = _shapes(rule, arrays)
-    scratch = rule.forward_scratch(sizes)
+    scratch = rule.forward_scratch(sizes, _tile(rule.op))
     ranks = _ranks([*sizes.values()]), len(rule.output(sizes)), _ranks(scratch)
     call = _forward(rule, str(_floats(arrays).dtype), *ranks)
     return call(arrays, [rule.output(sizes), *scratch])[0]
@@ -256,12 +95,11 @@ def _with_inputs(rule: Rule, *arrays: jax.Array) -> tuple[jax.Array, tuple[jax.A
 def _adjoints(rule: Rule, arrays: tuple[jax.Array, ...], adj: jax.Array) -> tuple[Any, ...]:
     sizes = _shapes(rule, arrays)
     outputs = [sizes[name] for name in rule.varied]
-    scratch = rule.adjoint_scratch(sizes)
+    scratch = rule.adjoint_scratch(sizes, _tile(rule.adjoint_operation.name))
     ranks = _ranks([*sizes.values()]), adj.ndim, _ranks(outputs), _ranks(scratch)
     call = _adjoint(rule, str(adj.dtype), *ranks)
     results = call((*arrays, adj), [*outputs, *scratch])
-    found: dict[str | None, Any] = dict(zip(rule.varied, results, strict=False))
-    found[rule.added] = adj
+    found = dict(zip(rule.varied, results, strict=False)) | dict.fromkeys(rule.added, adj)
 
     def of(name: str, array: jax.Array) -> Any:
         if name in rule.indices:
@@ -330,6 +168,11 @@ def _adjoint(
     return _Call(run, inputs, [_kind(dtype, r) for r in (*varied_ranks, *scratch_ranks)])
 
 
+def _tile(op: str) -> int:
+    """Give the backend's tile where JAX computes: it tells no device while it traces."""
+    return get_backend("warp").tile(op, "cpu" if jax.default_backend() == "cpu" else "cuda:0")
+
+
 def _kinds(rule: Rule, dtype: str, ranks: Ranks) -> list[wp.array]:
     return [
         _kind("int32" if name in rule.indices else dtype, rank)
@@ -351,3 +194,12 @@ def _shapes(rule: Rule, arrays: Sequence[jax.Array]) -> dict[str, Shape]:
 
 def _floats(arrays: Sequence[jax.Array]) -> jax.Array:
     return next(array for array in arrays if array.dtype.kind == "f")
+
+
+brightness_cost = _function("brightness_cost")
+brightness_residual = _function("brightness_residual")
+deposit_events = _function("deposit_events")
+lag_operator = _function("lag_operator")
+render_code = _function("render_code")
+sample_moments = _function("sample_moments")
+splat_events = _function("splat_events")

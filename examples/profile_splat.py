@@ -15,10 +15,7 @@ import time
 
 import numpy as np
 
-from evqr_kernels import SplatConfig, get_backend
-
-CHUNK = 64
-"""Events whose adjoints one thread adds up."""
+from evqr_kernels import SplatConfig, get_backend, make_scratch
 
 
 def main() -> int:
@@ -47,8 +44,8 @@ def main() -> int:
     window_ptr = backend.from_host(np.arange(batch + 1, dtype=np.int32) * events, device)
     image = backend.from_host(rng.normal(size=(batch, side, side)).astype(np.float32), device)
     inputs = (x, y, t, weight, window_ptr, motion, lag, frame)
-    shapes = ((batch, -(-events // CHUNK), 2), (total,), (batch, 2))
-    adjoints = [backend.empty(shape, np.float32, device) for shape in shapes]
+    adjoints = make_scratch(backend, device, "splat_events_adjoint", B=batch, E=total, P=2)
+    adjoints += [backend.empty(shape, np.float32, device) for shape in ((total,), (batch, 2))]
     cfg, times = SplatConfig(), []
     for _ in range(arguments.launches + 1):
         backend.synchronize(device)

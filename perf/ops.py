@@ -6,18 +6,15 @@ events within the image, maps that show all of the code, positive definite syste
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable
 
 import numpy as np
-from problems import Problem, Size
+from problems import Problem, Size, problem
 
 from evqr_kernels import KernelBackend, SplatConfig
-from evqr_kernels.launch import chunks_of
 
 SPLAT = SplatConfig()
-CHUNK = 512
-"""Samples that one thread of a sum takes."""
-
 SAMPLES_A_MODULE = 4
 PROFILE_MODULES = 5
 REACH = 4  # of the stencil of the code's normal equations
@@ -50,18 +47,16 @@ def _image(size: Size, rng, dtype, *planes: int) -> np.ndarray:
 
 def bin_events(size: Size, rng, dtype) -> Problem:
     x, y, _, weight, window_ptr = _events(size, rng, dtype)
-    image = np.zeros((size.batch, size.side, size.side), dtype)
     inputs = [x, y, weight, window_ptr, 1.0]
-    return Problem("bin_events", inputs, [image], len(x), 3 * len(x), "event", passes=2)
+    return problem("bin_events", inputs, len(x), 3 * len(x), "event", shape=(size.side, size.side))
 
 
 def _splat(size: Size, rng, dtype, parameters: int) -> Problem:
     events, lag, frame = _transported(size, rng, dtype, parameters)
-    image = np.zeros((size.batch, size.side, size.side), dtype)
     taps, count = 2 * SPLAT.reach + 1, len(events[0])
     madds = count * (2 * 9 * taps + 2 * taps**2)
-    inputs = [*events, *lag, *frame]
-    return Problem("splat_events", inputs, [image], count, madds, "event", tail=(SPLAT,), passes=2)
+    inputs, shape = [*events, *lag, *frame], (size.side, size.side)
+    return problem("splat_events", inputs, count, madds, "event", tail=(SPLAT,), shape=shape)
 
 
 def splat_events(size: Size, rng, dtype) -> Problem:
@@ -73,13 +68,11 @@ def splat_events_affine(size: Size, rng, dtype) -> Problem:
 
 
 def _splat_adjoint(size: Size, rng, dtype, parameters: int) -> Problem:
-    problem = _splat(size, rng, dtype, parameters)
-    taps, count = 2 * SPLAT.reach + 1, problem.items
-    chunks = np.zeros((size.batch, chunks_of(count, size.batch), parameters), dtype)
-    outputs = [chunks, np.zeros(count, dtype), np.zeros((size.batch, parameters), dtype)]
-    inputs = [*problem.inputs, _image(size, rng, dtype)]
+    splat = _splat(size, rng, dtype, parameters)
+    taps, count = 2 * SPLAT.reach + 1, splat.items
+    inputs = [*splat.inputs, _image(size, rng, dtype)]
     madds = count * (2 * 16 * taps + 3 * taps**2 + 7 * taps)
-    return Problem("splat_events_adjoint", inputs, outputs, count, madds, "event", tail=(SPLAT,), scratch=1)
+    return problem("splat_events_adjoint", inputs, count, madds, "event", tail=(SPLAT,))
 
 
 def splat_events_adjoint(size: Size, rng, dtype) -> Problem:
@@ -92,15 +85,15 @@ def splat_events_affine_adjoint(size: Size, rng, dtype) -> Problem:
 
 def deposit_events(size: Size, rng, dtype) -> Problem:
     events, _, frame = _transported(size, rng, dtype)
-    count, deposit = len(events[0]), np.zeros((size.batch, 2, size.side, size.side), dtype)
-    return Problem("deposit_events", [*events, *frame], [deposit], count, 12 * count, "event", passes=2)
+    inputs, count, shape = [*events, *frame], len(events[0]), (size.side, size.side)
+    return problem("deposit_events", inputs, count, 12 * count, "event", shape=shape)
 
 
 def deposit_events_adjoint(size: Size, rng, dtype) -> Problem:
     events, _, frame = _transported(size, rng, dtype)
     count, adj = len(events[0]), _image(size, rng, dtype, 2)
     inputs = [*events, *frame, adj]
-    return Problem("deposit_events_adjoint", inputs, [np.zeros(count, dtype)], count, 12 * count, "event")
+    return problem("deposit_events_adjoint", inputs, count, 12 * count, "event")
 
 
 def _lag(size: Size, rng, dtype) -> list:
@@ -114,63 +107,44 @@ def _lag(size: Size, rng, dtype) -> list:
 def lag_operator(size: Size, rng, dtype) -> Problem:
     deposit = _image(size, rng, dtype, 2)
     pixels = size.batch * size.side**2
-    outputs = [np.zeros_like(deposit), np.zeros_like(deposit[:, 0])]
-    inputs = [deposit, *_lag(size, rng, dtype)]
-    return Problem("lag_operator", inputs, outputs, pixels, 20 * pixels, scratch=1)
+    return problem("lag_operator", [deposit, *_lag(size, rng, dtype)], pixels, 20 * pixels)
 
 
 def lag_operator_adjoint(size: Size, rng, dtype) -> Problem:
     adj, pixels = _image(size, rng, dtype), size.batch * size.side**2
-    outputs = [np.zeros((size.batch, 2, size.side, size.side), dtype) for _ in range(2)]
     inputs = [*_lag(size, rng, dtype), adj]
-    return Problem("lag_operator_adjoint", inputs, outputs, pixels, 20 * pixels, scratch=1)
+    return problem("lag_operator_adjoint", inputs, pixels, 20 * pixels, deposits=size.batch)
 
 
 def motion_correlation(size: Size, rng, dtype, radius: int = 12) -> Problem:
     images = 2.0 * _image(size, rng, dtype, 2) * (rng.random((size.batch, 2, size.side, size.side)) < 0.2)
-    shifts = 2 * radius + 1
-    padded = -(-shifts // 16) * 16
-    outputs = [
-        np.zeros((size.batch, size.side, size.side), np.int32),
-        np.zeros((size.batch, size.side, shifts, padded), dtype),
-        np.zeros((size.batch, size.side, 2), dtype),
-        np.zeros((size.batch, shifts, shifts), dtype),
-        np.zeros((size.batch, 2), dtype),
-    ]
-    pixels = size.batch * size.side**2
-    madds = np.count_nonzero(images[:, 0]) * shifts * padded
-    inputs = [images.astype(dtype), 2.0, radius]
-    return Problem("motion_correlation", inputs, outputs, pixels, madds, scratch=3)
+    inputs, pixels = [images.astype(dtype), 2.0, radius], size.batch * size.side**2
+    made = problem("motion_correlation", inputs, pixels, 0)
+    made.madds = np.count_nonzero(images[:, 0]) * math.prod(made.outputs[1].shape[2:])
+    return made
 
 
 def surface_peak(size: Size, rng, dtype, side: int = 25) -> Problem:
     steps = np.subtract.outer(np.arange(side), np.arange(side))
     smoother = np.exp(-0.5 * (steps / 1.5) ** 2).astype(dtype)
     surface = rng.normal(size=(size.batch, side, side)).astype(dtype)
-    outputs = [np.zeros_like(surface), np.zeros_like(surface), np.zeros((size.batch, 3), dtype)]
-    madds = 2 * surface.size * side
-    return Problem("surface_peak", [surface, smoother], outputs, surface.size, madds, scratch=1)
+    return problem("surface_peak", [surface, smoother], surface.size, 2 * surface.size * side)
 
 
 def clip_outliers(size: Size, rng, dtype) -> Problem:
     image = _image(size, rng, dtype) ** 3
-    outputs = [np.zeros((size.batch, size.side, 2), dtype), np.zeros(size.batch, dtype)]
-    outputs += [np.zeros(size.batch, dtype), np.zeros_like(image)]
-    return Problem("clip_outliers", [image, 1.7], outputs, image.size, 3 * image.size, scratch=2)
+    return problem("clip_outliers", [image, 1.7], image.size, 3 * image.size)
 
 
 def reduce_image(size: Size, rng, dtype, ratio: float = 1.25) -> Problem:
-    image, coarse = _image(size, rng, dtype), -int(-size.side // ratio)
-    shapes = (size.batch, coarse, size.side), (size.batch, coarse, coarse)
-    outputs = [np.zeros(shape, dtype) for shape in shapes]
-    return Problem("reduce_image", [image, ratio], outputs, image.size, 4 * image.size, scratch=1)
+    image = _image(size, rng, dtype)
+    return problem("reduce_image", [image, ratio], image.size, 4 * image.size)
 
 
 def mix_images(size: Size, rng, dtype, results: int = 8) -> Problem:
     images = _image(size, rng, dtype)
     weight = rng.normal(size=(results, size.batch)).astype(dtype)
-    out = np.zeros((results, size.side, size.side), dtype)
-    return Problem("mix_images", [images, weight], [out], images.size, results * images.size)
+    return problem("mix_images", [images, weight], images.size, results * images.size)
 
 
 def correlate_templates(size: Size, rng, dtype) -> Problem:
@@ -183,24 +157,16 @@ def correlate_templates(size: Size, rng, dtype) -> Problem:
     mix = rng.normal(size=(8, 5))
     mix /= np.linalg.norm(mix, axis=1, keepdims=True)
     inputs = [image, np.zeros(batch, dtype), basis.reshape(n, n, 5).astype(dtype), mix.astype(dtype), spans]
-    outputs = [
-        np.zeros((batch, side + n, side + n - 1), dtype),
-        np.zeros(batch, dtype),
-        np.zeros((batch, 6, side, side), dtype),
-        np.zeros((batch, side, side), dtype),
-        np.zeros((batch, side, side), np.int32),
-    ]
     pixels = batch * side**2
     madds = pixels * (5 * int(disc.sum()) + 45)
-    return Problem("correlate_templates", [*inputs, 0.0, 0.0], outputs, pixels, madds, scratch=3)
+    return problem("correlate_templates", [*inputs, 0.0, 0.0], pixels, madds)
 
 
 def local_maxima(size: Size, rng, dtype, most: int = 8) -> Problem:
     response = rng.uniform(-1, 1, (size.batch, size.side, size.side)).astype(dtype)
     angle = rng.integers(0, 8, response.shape).astype(np.int32)
-    out = np.zeros((size.batch, size.side, most, 5), dtype)
     inputs = [response, angle, 0.3, 2.5, 3.125, 0.2]
-    return Problem("local_maxima", inputs, [out], response.size, 8 * response.size)
+    return problem("local_maxima", inputs, response.size, 8 * response.size, most=most)
 
 
 def merge_maxima(size: Size, rng, dtype, keep: int = 48) -> Problem:
@@ -209,10 +175,8 @@ def merge_maxima(size: Size, rng, dtype, keep: int = 48) -> Problem:
     columns += list(rng.uniform(0, size.side, (2, size.batch, count)))
     columns += [rng.choice([4.0, 5.0, 6.1], (size.batch, count)), rng.uniform(0, 1.5, (size.batch, count))]
     maxima = np.stack(columns, axis=-1).astype(dtype)
-    strength, index = np.zeros((size.batch, count), dtype), np.zeros((size.batch, count), np.int32)
-    outputs = [strength, index, np.zeros((size.batch, keep, 5), dtype)]
     items = size.batch * count
-    return Problem("merge_maxima", [maxima, 2.0, 0.3], outputs, items, 4 * items, "maximum", scratch=2)
+    return problem("merge_maxima", [maxima, 2.0, 0.3], items, 4 * items, "maximum", most=keep)
 
 
 def match_corners(size: Size, rng, dtype, count: int = 48, most: int = 3) -> Problem:
@@ -227,10 +191,8 @@ def match_corners(size: Size, rng, dtype, count: int = 48, most: int = 3) -> Pro
     ).astype(dtype)
     peaks[:, :3, 1:] = [[20, 20, 4, 0], [76, 20, 4, 0], [20, 76, 4, 0]]  # a code of 21 modules
     tolerances = np.array([0.2, 0.16, 0.24, np.log(14.0), np.log(170.0)], dtype)
-    outputs = [np.zeros((size.batch, count, count), np.int32), np.zeros((size.batch, count, count, 3), dtype)]
-    outputs += [np.zeros((size.batch, count, most, 4), dtype)]
     pairs = size.batch * count**2
-    return Problem("match_corners", [peaks, tolerances], outputs, pairs, 20 * pairs, "pair", scratch=2)
+    return problem("match_corners", [peaks, tolerances], pairs, 20 * pairs, "pair", most=most)
 
 
 def _points(size: Size) -> np.ndarray:
@@ -257,17 +219,13 @@ def _moments(size: Size, rng, dtype) -> list:
 def sample_moments(size: Size, rng, dtype) -> Problem:
     inputs = _moments(size, rng, dtype)
     samples = size.batch * len(inputs[4])
-    chunks = np.zeros((size.batch, -(-len(inputs[4]) // CHUNK), COLUMNS + 1), dtype)
-    outputs = [chunks, np.zeros((size.batch, COLUMNS + 1), dtype)]
-    madds = samples * (COLUMNS + 18)
-    return Problem("sample_moments", inputs, outputs, samples, madds, "sample", scratch=1)
+    return problem("sample_moments", inputs, samples, samples * (COLUMNS + 18), "sample")
 
 
 def sample_moments_adjoint(size: Size, rng, dtype) -> Problem:
     inputs = [*_moments(size, rng, dtype), rng.normal(size=(size.batch, COLUMNS + 1)).astype(dtype)]
-    samples, out = size.batch * len(inputs[4]), np.zeros_like(inputs[0])
-    madds = samples * (COLUMNS + 24)
-    return Problem("sample_moments_adjoint", inputs, [out], samples, madds, "sample", passes=2)
+    samples = size.batch * len(inputs[4])
+    return problem("sample_moments_adjoint", inputs, samples, samples * (COLUMNS + 24), "sample")
 
 
 def _terms(perspective: bool = False) -> tuple[np.ndarray, np.ndarray]:
@@ -305,10 +263,10 @@ def align_poses(size: Size, rng, dtype, iterations: int = 5) -> Problem:
     inputs = [images, np.arange(size.batch), points, table, table.T @ table, terms, factors, settings]
     kinds = [dtype, np.int32, dtype, dtype, dtype, np.int32, np.int32, dtype]
     inputs = [array.astype(kind) for array, kind in zip(inputs, kinds, strict=True)]
-    outputs = [start.astype(dtype), np.zeros((size.batch, 5), dtype)]
     samples = size.batch * len(points) * (iterations + 1)
     madds = samples * (COLUMNS + 18)
-    return Problem("align_poses", [*inputs, iterations], outputs, samples, madds, "sample", inout=0)
+    start = start.astype(dtype)
+    return problem("align_poses", [*inputs, iterations], samples, madds, "sample", start=start)
 
 
 def pose_normal_equations(size: Size, rng, dtype) -> Problem:
@@ -316,38 +274,34 @@ def pose_normal_equations(size: Size, rng, dtype) -> Problem:
     moments = rng.normal(size=(size.batch, COLUMNS + 1)).astype(dtype)
     terms, factors = _terms(perspective=True)
     n = len(terms)
-    outputs = [np.zeros(s, dtype) for s in ((size.batch, 2), (size.batch, n, n), (size.batch, n))]
     inputs = [moments, table.T @ table, terms, factors, 1e-3]
     madds = size.batch * (n * n * 16 + 4 * n)
-    return Problem("pose_normal_equations", inputs, outputs, size.batch, madds, "pose")
+    return problem("pose_normal_equations", inputs, size.batch, madds, "pose")
 
 
-def _rhs(size: Size, rng, dtype) -> tuple[list, list, int, float]:
-    """Give inputs, outputs, samples and multiply-adds of the right-hand side of stage two."""
+def _rhs(size: Size, rng, dtype) -> tuple[list, int, float]:
+    """Give inputs, samples and multiply-adds of a right-hand side."""
     per, modules = SAMPLES_A_MODULE, size.modules
     count = modules * per
     lattice = ((np.arange(count) + 0.5) / per).astype(dtype)
     profile, slope = rng.normal(size=(2, PROFILE_MODULES * per)).astype(dtype)
     gain = rng.normal(size=(size.batch, 2)).astype(dtype)
     inputs = [_image(size, rng, dtype), _poses(size, rng, dtype), lattice, lattice, profile, slope, gain, per]
-    shapes = ((size.batch, count, count), (size.batch, 2, count, modules), (size.batch, modules, modules))
     samples = size.batch * count**2
     taps = PROFILE_MODULES * per
     madds = 18 * samples + 2 * taps * size.batch * (count * modules + modules**2)
-    return inputs, [np.zeros(shape, dtype) for shape in shapes], samples, madds
+    return inputs, samples, madds
 
 
 def code_rhs(size: Size, rng, dtype) -> Problem:
-    inputs, outputs, samples, madds = _rhs(size, rng, dtype)
-    return Problem("code_rhs", inputs, outputs, samples, madds, "sample", scratch=2)
+    inputs, samples, madds = _rhs(size, rng, dtype)
+    return problem("code_rhs", inputs, samples, madds, "sample")
 
 
 def code_normal_equations(size: Size, rng, dtype) -> Problem:
-    inputs, (samples_out, rows, rhs), samples, madds = _rhs(size, rng, dtype)
-    side = 2 * REACH + 1
-    outputs = [samples_out, rows, np.zeros((size.batch, side, side), dtype), rhs]
-    madds += size.batch * side**2 * 2 * PROFILE_MODULES * SAMPLES_A_MODULE
-    return Problem("code_normal_equations", inputs, outputs, samples, madds, "sample", scratch=2)
+    inputs, samples, madds = _rhs(size, rng, dtype)
+    madds += size.batch * (2 * REACH + 1) ** 2 * 2 * PROFILE_MODULES * SAMPLES_A_MODULE
+    return problem("code_normal_equations", inputs, samples, madds, "sample", reach=REACH)
 
 
 def _system(size: Size, rng, dtype) -> tuple[list, np.ndarray]:
@@ -367,45 +321,27 @@ def _system(size: Size, rng, dtype) -> tuple[list, np.ndarray]:
 def code_product(size: Size, rng, dtype) -> Problem:
     (_, *system), q = _system(size, rng, dtype)
     madds = q.size * (2 * REACH + 1) ** 2
-    return Problem("code_product", [q, *system], [np.zeros_like(q)], q.size, madds, "module")
+    return problem("code_product", [q, *system], q.size, madds, "module")
 
 
 def pull_modules(size: Size, rng, dtype) -> Problem:
     (seen, _, damping, _), q = _system(size, rng, dtype)
-    unclear = np.zeros(q.shape[:2], np.int32)
-    return Problem(
-        "pull_modules", [seen, q, damping, 4.0], [np.zeros_like(q), unclear], q.size, 2 * q.size, "module"
-    )
+    return problem("pull_modules", [seen, q, damping, 4.0], q.size, 2 * q.size, "module")
 
 
 def solve_code(size: Size, rng, dtype, iterations: int = 20) -> Problem:
     system, start = _system(size, rng, dtype)
-    rows = np.zeros((size.batch, 4, size.modules), dtype)
-    scratch = (*(np.zeros_like(start) for _ in range(4)), rows, rows)
-    done = np.zeros(size.batch, np.int32)
     items = start.size * iterations
     madds = items * ((2 * REACH + 1) ** 2 + 5)
-    return Problem(
-        "solve_code",
-        system,
-        [start, scratch, done],
-        items,
-        madds,
-        "module",
-        options={"max_iterations": iterations, "tolerance": 0.0},
-        inout=0,
-    )
+    return problem("solve_code", [*system, iterations, 0.0], items, madds, "module", start=start)
 
 
 def solve_code_banded(size: Size, rng, dtype) -> Problem:
     system, start = _system(size, rng, dtype)
     width = REACH * (size.modules + 1)
-    band = np.zeros((size.batch, size.modules**2, width + 1), dtype)
     share = float(np.square(system[3].mean()))  # fixed modules leave empty rows and columns
     madds = share * start.size * width**2 / 2
-    return Problem(
-        "solve_code_banded", system, [band, start], start.size, madds, "module", scratch=1, inout=1
-    )
+    return problem("solve_code_banded", system, start.size, madds, "module", start=start)
 
 
 def _code(size: Size, rng, dtype, parameters: int) -> list:
@@ -419,9 +355,9 @@ def _code(size: Size, rng, dtype, parameters: int) -> list:
 
 
 def _render(size: Size, rng, dtype, parameters: int = 6, sigma: float = 0.0) -> Problem:
-    inputs, image = [*_code(size, rng, dtype, parameters), sigma], np.zeros_like(_image(size, rng, dtype))
-    madds = image.size * (4 + 2 * (parameters == 8) + (8 if sigma == 0 else 64))
-    return Problem("render_code", inputs, [image], image.size, madds)
+    inputs, pixels = [*_code(size, rng, dtype, parameters), sigma], size.batch * size.side**2
+    madds = pixels * (4 + 2 * (parameters == 8) + (8 if sigma == 0 else 64))
+    return problem("render_code", inputs, pixels, madds, shape=(size.side, size.side))
 
 
 def render_code(size: Size, rng, dtype) -> Problem:
@@ -437,12 +373,9 @@ def render_code_smooth(size: Size, rng, dtype) -> Problem:
 
 
 def _render_adjoint(size: Size, rng, dtype, parameters: int = 6, sigma: float = 0.0) -> Problem:
-    problem, adj = _render(size, rng, dtype, parameters, sigma), _image(size, rng, dtype)
-    rows = np.zeros((size.batch, size.side, parameters), dtype)
-    grid, to_grid = problem.inputs[:2]
-    outputs = [rows, np.zeros_like(grid), np.zeros_like(to_grid)]
-    madds = problem.madds + adj.size * (22 if sigma == 0 else 60)
-    return Problem("render_code_adjoint", [*problem.inputs, adj], outputs, adj.size, madds, scratch=1)
+    render, adj = _render(size, rng, dtype, parameters, sigma), _image(size, rng, dtype)
+    madds = render.madds + adj.size * (22 if sigma == 0 else 60)
+    return problem("render_code_adjoint", [*render.inputs, adj], adj.size, madds)
 
 
 def render_code_adjoint(size: Size, rng, dtype) -> Problem:
@@ -460,17 +393,13 @@ def render_code_smooth_adjoint(size: Size, rng, dtype) -> Problem:
 def brightness_residual(size: Size, rng, dtype) -> Problem:
     luminance, events = _image(size, rng, dtype), _image(size, rng, dtype)
     motion = rng.normal(size=(size.batch, 2)).astype(dtype)
-    inputs, out = [luminance, events, motion], np.zeros_like(events)
-    return Problem("brightness_residual", inputs, [out], out.size, 4 * out.size)
+    return problem("brightness_residual", [luminance, events, motion], events.size, 4 * events.size)
 
 
 def brightness_residual_adjoint(size: Size, rng, dtype) -> Problem:
     luminance, adj = _image(size, rng, dtype), _image(size, rng, dtype)
     motion = rng.normal(size=(size.batch, 2)).astype(dtype)
-    outputs = [np.zeros((size.batch, size.side, 2), dtype), np.zeros_like(adj), np.zeros_like(motion)]
-    return Problem(
-        "brightness_residual_adjoint", [luminance, motion, adj], outputs, adj.size, 8 * adj.size, scratch=1
-    )
+    return problem("brightness_residual_adjoint", [luminance, motion, adj], adj.size, 8 * adj.size)
 
 
 def _cost(size: Size, rng, dtype) -> list:
@@ -481,18 +410,12 @@ def _cost(size: Size, rng, dtype) -> list:
 
 def brightness_cost(size: Size, rng, dtype) -> Problem:
     inputs = _cost(size, rng, dtype)
-    outputs = [np.zeros((size.batch, size.side), dtype), np.zeros(size.batch, dtype)]
-    pixels = inputs[0].size
-    return Problem("brightness_cost", inputs, outputs, pixels, 6 * pixels, scratch=1)
+    return problem("brightness_cost", inputs, inputs[0].size, 6 * inputs[0].size)
 
 
 def brightness_cost_adjoint(size: Size, rng, dtype) -> Problem:
     inputs = [*_cost(size, rng, dtype), rng.normal(size=size.batch).astype(dtype)]
-    luminance, events, motion, *_ = inputs
-    rows = np.zeros((size.batch, size.side, 2), dtype)
-    outputs = [rows, np.zeros_like(luminance), np.zeros_like(events), np.zeros_like(motion)]
-    pixels = luminance.size
-    return Problem("brightness_cost_adjoint", inputs, outputs, pixels, 12 * pixels, scratch=1)
+    return problem("brightness_cost_adjoint", inputs, inputs[0].size, 12 * inputs[0].size)
 
 
 def cost(size: Size, rng, dtype) -> Problem:

@@ -34,7 +34,7 @@ from typing import Any
 import warp as wp
 
 import evqr_kernels.warp_backend as backend
-from evqr_kernels import SplatConfig
+from evqr_kernels import SplatConfig, get_backend
 
 SETTINGS = Path(__file__).with_suffix(".json")
 KERNEL = re.compile(r"Function :? ?(?:\w+__locals__)?(\w+?)_cuda_kernel_forward")
@@ -201,7 +201,7 @@ def main() -> int:
     arguments = parser.parse_args()
     settings = json.loads(SETTINGS.read_text())
     wp.config.log_level = wp.LOG_ERROR
-    backend.load()
+    get_backend("warp")
 
     begin, rows = time.perf_counter(), []
     with tempfile.TemporaryDirectory() as folder:

@@ -4,13 +4,14 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from evqr_kernels import KernelBackend, get_backend
+from evqr_kernels import OPERATIONS, KernelBackend, get_backend
+from evqr_kernels.operation import Scratch, Written, buffers_behind
 
 TOLERANCE = {np.dtype(np.float32): 2e-5, np.dtype(np.float64): 1e-12}
 """Largest error relative to the largest value: some hundred roundings, in another order."""
@@ -35,7 +36,7 @@ class Size:
 
 def call(backend: KernelBackend, op: str, problem: Problem, arrays: list[Any], outputs: list[Any]) -> None:
     """Call the backend's method of that name; what most problems are."""
-    getattr(backend, op)(*arrays, *outputs, *problem.tail, **problem.options)
+    getattr(backend, op)(*arrays, *outputs, *problem.tail)
 
 
 @dataclass
@@ -44,7 +45,7 @@ class Problem:
 
     Attributes
     ----------
-    op, inputs, outputs, tail, options
+    op, inputs, outputs, tail
                   the method of a backend and its arguments, in this order; arrays are NumPy's
     items, unit   what its throughput is counted in
     madds         multiply-adds, a division or a root counted as one and an exponential as none
@@ -61,7 +62,6 @@ class Problem:
     madds: float
     unit: str = "pixel"
     tail: tuple = ()
-    options: dict[str, Any] = field(default_factory=dict)
     scratch: int = 0
     inout: int | None = None
     passes: int = 1
@@ -74,6 +74,26 @@ class Problem:
         touched += [(array, 2) for array in self.outputs[: self.scratch]]
         touched += [(array, self.passes) for array in self.outputs[self.scratch :]]
         return sum(times * array.nbytes for array, times in touched if isinstance(array, np.ndarray))
+
+
+def problem(
+    op: str, inputs: list[Any], items: int, madds: float, unit: str = "pixel", *, tail: tuple = (),
+    start: NDArray[Any] | None = None, **sizes: Any,
+) -> Problem:  # fmt: skip
+    """Make the problem of an operation, with the outputs and scratch of the table.
+
+    ``start`` is what is overwritten in place; ``sizes`` are those that no input tells, and settings.
+    """
+    operation = OPERATIONS[op]
+    buffers = buffers_behind(operation, inputs, sizes, operation.variant("warp", "cpu").tile)
+    written = [getattr(buffer.array, "written", None) for buffer in buffers]
+    inout = written.index(Written.IN_PLACE) if Written.IN_PLACE in written else None
+    outputs = [np.zeros(buffer.shape, buffer.dtype) for buffer in buffers]
+    if inout is not None:
+        outputs[inout] = start
+    scratch = sum(isinstance(buffer.array, Scratch) for buffer in buffers)
+    passes = 2 if operation.accumulates else 1
+    return Problem(op, inputs, outputs, items, madds, unit, tail, scratch, inout, passes)
 
 
 class Prepared:
@@ -90,8 +110,6 @@ class Prepared:
         self._replay: Callable[[], None] | None = None
 
     def _put(self, argument: Any) -> Any:
-        if isinstance(argument, tuple):
-            return tuple(map(self._put, argument))
         return (
             self.backend.from_host(argument.copy(), self.device)
             if isinstance(argument, np.ndarray)
@@ -121,7 +139,7 @@ class Prepared:
         self()
         self.wait()
         outputs = self._outputs[self.problem.scratch :]
-        return [np.array(self.backend.to_host(a)) for a in outputs if not isinstance(a, tuple)]
+        return [np.array(self.backend.to_host(a)) for a in outputs]
 
 
 def distance(got: list[NDArray[Any]], expected: list[NDArray[Any]]) -> float:

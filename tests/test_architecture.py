@@ -16,7 +16,7 @@ FLOORS = (
     ("events", "motion", "geometry", "symbol"),
     ("recording", "simulate", "workspace", "device"),
     ("fit",),
-    ("search",),
+    ("search", "launched"),
     ("solver",),
     ("results",),
     ("stream",),

@@ -259,7 +259,7 @@ def test_what_the_kernels_refuse_is_bad_use(capsys, monkeypatch, recording):
 
 
 def test_the_first_run_says_that_it_compiles(capsys, monkeypatch):
-    import evqr_kernels.backend
+    import evqr_kernels.registry
 
     monkeypatch.undo()
 
@@ -270,14 +270,14 @@ def test_the_first_run_says_that_it_compiles(capsys, monkeypatch):
         def devices(self):
             return ("cpu",)
 
-        def needs_compile(self, device):
+        def needs_compile(self, device, calls):
             return self.fresh
 
-        def load(self, device):
+        def load(self, device, calls):
             self.fresh = False
 
     kernels = Fresh()
-    monkeypatch.setattr(evqr_kernels.backend, "get_backend", lambda name: kernels)
+    monkeypatch.setattr(evqr_kernels.registry, "get_backend", lambda name: kernels)
     commands._prepare("auto", "cpu")
     assert "compiling kernels" in capsys.readouterr().err
     commands._prepare("auto", "cpu")

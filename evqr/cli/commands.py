@@ -128,11 +128,12 @@ def _read_config(**given: Any) -> ReadConfig:
 def _prepare(backend: str, device: str) -> None:
     """Refuse a backend or a device that is not there; compile kernels that are not yet, and say so."""
     from evqr.device import kernels_on
+    from evqr.launched import LAUNCHED
 
     kernels = kernels_on(backend, device)
-    if kernels.needs_compile(device):
+    if kernels.needs_compile(device, LAUNCHED):
         note(COMPILING)
-        kernels.load(device)
+        kernels.load(device, LAUNCHED)
 
 
 def _read_one(recording: Recording, as_json: bool, picture: Path | None, **options: Any) -> int:

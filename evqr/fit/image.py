@@ -51,7 +51,7 @@ class Sharpen(Step):
         height, width = cells.shape[2:]
         self._cells = cells
         self._direction, self._lag = workspace.mirror((count, 2)), workspace.mirror((count, 2))
-        self._rows = workspace.empty(count, 2, height, width)
+        self._scratch = workspace.scratch("lag_operator", N=count, Y=height, X=width)
         self._first = workspace.put(np.zeros(count, np.int32))
         self._taps = workspace.put(blur_taps(blur_cells))
         self.images = Images(workspace.empty(count, height, width))
@@ -64,7 +64,7 @@ class Sharpen(Step):
     def launch(self) -> None:
         """Launch the kernels one by one."""
         self._backend.lag_operator(
-            self._cells, self._first, self._direction.device, self._lag.device, self._taps, self._rows,
+            self._cells, self._first, self._direction.device, self._lag.device, self._taps, *self._scratch,
             self.images.device,
         )  # fmt: skip
 

@@ -115,14 +115,14 @@ class Equations(Step):
             workspace.put(f.astype(np.float32)) for f in (axis, b, slope)
         )
         self._samples = cfg.samples
-        self._sampled, self._rows = workspace.empty(1, count, count), workspace.empty(1, 2, count, modules)
+        self._scratch = workspace.scratch("code_rhs", B=1, S=count, T=count, samples_a_module=cfg.samples)
         self._rhs = workspace.mirror((1, modules, modules))
 
     def launch(self) -> None:
         """Launch the kernels one by one."""
         self._backend.code_rhs(
             self._image, self._pose, self._axis, self._axis, self._profile, self._slope, self._gain,
-            self._samples, self._sampled, self._rows, self._rhs.device,
+            self._samples, *self._scratch, self._rhs.device,
         )  # fmt: skip
 
     def read(self, gain: NDArray[np.float64]) -> NormalEquations:
@@ -158,8 +158,7 @@ class Solution(Step):
         self._cfg, self._free = cfg, workspace.put(free)
         self._seen, self._q = (workspace.mirror((1, modules, modules)) for _ in range(2))
         self._stencil, self._damping = workspace.mirror((1, reach, reach)), workspace.mirror((1,))
-        field = [workspace.empty(1, modules, modules) for _ in range(4)]
-        self._scratch = (*field, *(workspace.empty(1, 4, modules) for _ in range(2)))
+        self._scratch = workspace.scratch("solve_code", B=1, V=modules, U=modules)
         self._rhs = workspace.empty(1, modules, modules)
         self._iterations = workspace.mirror((1,), np.int32)
         self._unclear = workspace.mirror((1, modules), np.int32)
@@ -186,8 +185,8 @@ class Solution(Step):
         """Launch the kernels one by one."""
         cfg = self._cfg
         self._backend.solve_code(
-            self._rhs, self._stencil.device, self._damping.device, self._free, self._q.device, self._scratch,
-            self._iterations.device, max_iterations=cfg.max_iterations, tolerance=cfg.tolerance,
+            self._rhs, self._stencil.device, self._damping.device, self._free, cfg.max_iterations,
+            cfg.tolerance, *self._scratch, self._q.device, self._iterations.device,
         )  # fmt: skip
         self._pull()
 

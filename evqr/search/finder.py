@@ -33,9 +33,6 @@ ANGLES = 8
 TERMS = 5
 """Templates that the others are mixed from, to 0.4 %."""
 
-FEWEST_CELLS = 24
-"""Width of the smallest level [cells]: kernels take blocks of them."""
-
 BLUR_CELLS = 0.55
 """Blur of the finest image beyond that of the deposit [cells]."""
 
@@ -181,10 +178,6 @@ def _module_sizes(search_pass: SearchPass, ratio: float) -> list[float]:
     return [smallest * ratio**k for k in range(count)]
 
 
-def _four(count: int) -> int:
-    return -(-count // 4) * 4
-
-
 class _Search:
     """The search in windows of one size of image: its levels, and what runs over them."""
 
@@ -203,8 +196,8 @@ class _Search:
         modules: list[float] = []
         for module_px in _module_sizes(search_pass, cfg.scale_ratio):
             cell = module_px / cfg.cells_a_module
-            rows, columns = math.ceil(height / cell), _four(math.ceil(width / cell))
-            if rows < side or columns < FEWEST_CELLS:
+            rows, columns = math.ceil(height / cell), math.ceil(width / cell)
+            if min(rows, columns) < side:
                 break
             # a border of zeros, which templates may hang over
             padded.append(workspace.empty(1, rows + 2 * half, columns + 2 * half))
@@ -224,8 +217,7 @@ class _Search:
         slots = sum(rows for rows, _ in shapes)
         a_row = cfg.peaks_a_row
         maxima = workspace.empty(1, slots, a_row, 5)
-        strength = workspace.empty(1, slots * a_row)
-        index = workspace.empty(1, slots * a_row, dtype=np.int32)
+        merging = workspace.scratch("merge_maxima", B=1, N=slots * a_row)
         busy = workspace.empty(1)
 
         def launch() -> None:
@@ -234,26 +226,23 @@ class _Search:
                 if k == 0:
                     self._deposit.launch()
                     self._sharpen.launch()
-                    backend.clip_outliers(
-                        self._sharpen.images.device, cfg.clip, workspace.empty(1, rows, 2),
-                        workspace.empty(1), busy, level.image.device,
-                    )  # fmt: skip
+                    scratch = workspace.scratch("clip_outliers", B=1, Y=rows)
+                    images = self._sharpen.images.device
+                    backend.clip_outliers(images, cfg.clip, *scratch, level.image.device, busy)
                 else:
                     fine = self.pyramid[k - 1].image.device
-                    backend.reduce_image(
-                        fine, cfg.scale_ratio, workspace.empty(1, rows, fine.shape[2]), level.image.device
-                    )
+                    sizes = {"Y": fine.shape[1], "X": fine.shape[2], "ratio": cfg.scale_ratio}
+                    scratch = workspace.scratch("reduce_image", B=1, **sizes)
+                    backend.reduce_image(fine, cfg.scale_ratio, *scratch, level.image.device)
                 response = workspace.empty(1, rows, columns)
                 angle = workspace.empty(1, rows, columns, dtype=np.int32)
+                _, tall, wide = padded[k].shape
+                scratch = workspace.scratch("correlate_templates", B=1, N=side, Y=tall, X=wide)
                 # as large a part of each level is busy as of the finest
                 share = math.prod(shapes[0]) / math.prod(shapes[k])
                 backend.correlate_templates(
                     padded[k], busy, self._basis.device, self._mix.device, spans,
-                    share * search_pass.floor, cfg.min_response,
-                    workspace.empty(1, rows + 2 * half + 1, columns + 2 * half),
-                    workspace.empty(1),
-                    workspace.empty(1, TERMS + 1, rows, columns),
-                    response, angle,
+                    share * search_pass.floor, cfg.min_response, *scratch, response, angle,
                 )  # fmt: skip
                 backend.local_maxima(
                     response, angle, 0.0, level.cell, modules[k], math.pi / 2 / ANGLES,
@@ -261,8 +250,8 @@ class _Search:
                 )  # fmt: skip
                 first += rows
             backend.merge_maxima(
-                maxima.reshape((1, slots * a_row, 5)), 2.0, 1.5 * math.log(cfg.scale_ratio), strength,
-                index, self._peaks.device,
+                maxima.reshape((1, slots * a_row, 5)), 2.0, 1.5 * math.log(cfg.scale_ratio), *merging,
+                self._peaks.device,
             )  # fmt: skip
             self._match.launch()
 
@@ -304,14 +293,13 @@ class Match(Step):
         tolerances = (cfg.leg_tolerance, cfg.scale_tolerance, cfg.angle_tolerance, *log_legs)
         self._peaks, self._cfg = peaks, cfg
         self._tolerances = workspace.put(np.array(tolerances, np.float32))
-        self._ends = workspace.empty(1, room, room, dtype=np.int32)
-        self._legs = workspace.empty(1, room, room, 3)
+        self._scratch = workspace.scratch("match_corners", B=1, P=room)
         self._triples = workspace.mirror((1, room, cfg.triples_a_corner, 4))
 
     def launch(self) -> None:
         """Launch the kernels one by one."""
         self._backend.match_corners(
-            self._peaks.device, self._tolerances, self._ends, self._legs, self._triples.device
+            self._peaks.device, self._tolerances, *self._scratch, self._triples.device
         )
 
     def read(self, most: int) -> list[Hypothesis]:

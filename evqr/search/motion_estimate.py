@@ -66,19 +66,16 @@ class _Correlator:
         self._peak, self._energy = workspace.mirror((1, 3)), workspace.mirror((1, 2))
         halves = workspace.empty(2, height, width)
         pair = halves.reshape((1, 2, height, width))
-        rows = workspace.empty(1, height, shifts, -(-shifts // 16) * 16)
-        found = workspace.empty(1, height, width, dtype=np.int32)
-        energy_rows = workspace.empty(1, height, 2)
-        surface, half_smooth, smooth = (workspace.empty(1, shifts, shifts) for _ in range(3))
+        scratch = workspace.scratch("motion_correlation", B=1, Y=height, X=width, radius=radius)
+        surface, smooth = (workspace.empty(1, shifts, shifts) for _ in range(2))
+        half_smooth = workspace.scratch("surface_peak", B=1, N=shifts)
         smoother = workspace.put(_smoother(shifts, cfg.blur_px / reduction))
 
         def launch() -> None:
             backend.clear(halves)
             backend.bin_events(events.x, events.y, events.p, self._ptr.device, reduction, halves)
-            backend.motion_correlation(
-                pair, cfg.clip, radius, found, rows, energy_rows, surface, self._energy.device
-            )
-            backend.surface_peak(surface, smoother, half_smooth, smooth, self._peak.device)
+            backend.motion_correlation(pair, cfg.clip, radius, *scratch, surface, self._energy.device)
+            backend.surface_peak(surface, smoother, *half_smooth, smooth, self._peak.device)
 
         self._run = backend.record(launch)
 

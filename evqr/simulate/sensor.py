@@ -13,7 +13,7 @@ from evqr.events.array import EventArray
 from evqr.simulate.config import SceneConfig, SensorConfig
 from evqr.simulate.geometry import Motion
 from evqr.simulate.texture import TEXELS, Texture
-from evqr_kernels.backend import get_backend
+from evqr_kernels.registry import get_backend
 
 #: Travel before the recording starts, in which the pixels forget their initial state [px].
 RUN_IN_PX = 10.0

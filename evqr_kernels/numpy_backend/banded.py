@@ -1,4 +1,4 @@
-"""Stage two's solution in one go; the method is in ``warp_backend/banded.py``."""
+"""The modules of a planar code, solved for in one go; the method is in ``warp_backend/banded.py``."""
 
 from __future__ import annotations
 

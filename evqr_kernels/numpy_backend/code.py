@@ -1,4 +1,4 @@
-"""Stage two's right-hand side; the formula is in ``warp_backend/code.py``."""
+"""Right-hand side of the equations of modules; the formula is in ``warp_backend/code.py``."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Normal equations of stage two; the formulas are in ``warp_backend/code_normal.py``."""
+"""Normal equations of modules; the formulas are in ``warp_backend/code_normal.py``."""
 
 from __future__ import annotations
 

@@ -15,13 +15,13 @@ def brightness_cost(luminance, events_image, motion, mask, rows_out, cost_out) -
 
 
 def brightness_cost_adjoint(
-    luminance, events_image, motion, mask, adj_cost, rows_out, adj_luminance_out, adj_events_out,
+    luminance, events_image, motion, mask, adj_cost, rows_out, adj_luminance_out, adj_events_image_out,
     adj_motion_out,
 ) -> None:  # fmt: skip
     """Adjoint of `brightness_cost` in luminance, events' image and motion; overwrites."""
     residual = np.empty_like(luminance)
     brightness_residual(luminance, events_image, motion, residual)
-    adj_events_out[:] = adj_cost[:, None, None] * mask * residual
+    adj_events_image_out[:] = adj_cost[:, None, None] * mask * residual
     brightness_residual_adjoint(
-        luminance, motion, adj_events_out, rows_out, adj_luminance_out, adj_motion_out
+        luminance, motion, adj_events_image_out, rows_out, adj_luminance_out, adj_motion_out
     )

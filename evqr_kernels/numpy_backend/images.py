@@ -6,7 +6,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 
-def clip_outliers(image, factor, rows_out, limit_out, busy_out, image_out) -> None:
+def clip_outliers(image, factor, rows_out, limit_out, image_out, busy_out) -> None:
     """Clip at a multiple of the mean magnitude of what is not 0; overwrites."""
     rows_out[..., 0], rows_out[..., 1] = np.abs(image).sum(axis=2), (image != 0).sum(axis=2)
     total, count = rows_out.sum(axis=1).T

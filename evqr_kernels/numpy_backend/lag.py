@@ -1,4 +1,4 @@
-"""Deposits and the lag operator; the formulas are in ``warp_backend/lag.py`` and ``lag_adjoint.py``."""
+"""Deposits and the lag operator; the formulas are in ``warp_backend/lag.py``."""
 
 from __future__ import annotations
 
@@ -9,18 +9,9 @@ from numpy.typing import NDArray
 def deposit_events(x, y, t, weight, window_ptr, motion, frame, deposit_out) -> None:
     """Share events among the cells around them, ON and OFF apart; accumulates."""
     for b in range(len(motion)):
-        events, cells = _shares(x, y, t, weight, window_ptr, motion, frame, b, deposit_out.shape)
+        events, cells = shares_of(x, y, t, weight, window_ptr, motion, frame, b, deposit_out.shape)
         for place, share in cells:
             np.add.at(deposit_out[b], place, weight[events] * share)
-
-
-def deposit_events_adjoint(x, y, t, weight, window_ptr, motion, frame, adj_deposit, adj_weight_out) -> None:
-    """Adjoint of `deposit_events` in the weights; overwrites."""
-    adj_weight_out[:] = 0
-    for b in range(len(motion)):
-        events, cells = _shares(x, y, t, weight, window_ptr, motion, frame, b, adj_deposit.shape)
-        for place, share in cells:
-            adj_weight_out[events] += share * adj_deposit[b][place]
 
 
 def lag_operator(deposit, deposit_idx, direction, lag, taps, rows_out, image_out) -> None:
@@ -30,32 +21,15 @@ def lag_operator(deposit, deposit_idx, direction, lag, taps, rows_out, image_out
     reach = len(blur) // 2
     for n, b in enumerate(deposit_idx):
         for p in range(2):
-            across = _filter(deposit[b, p], blur, axis=1)
-            along = across - lag[n, p] * direction[n, 0] * _filter(deposit[b, p], slope, axis=1)
-            image = _filter(along, blur, axis=0) - lag[n, p] * direction[n, 1] * _filter(
+            across = filtered(deposit[b, p], blur, axis=1)
+            along = across - lag[n, p] * direction[n, 0] * filtered(deposit[b, p], slope, axis=1)
+            image = filtered(along, blur, axis=0) - lag[n, p] * direction[n, 1] * filtered(
                 across, slope, axis=0
             )
             image_out[n, reach:-reach, reach:-reach] += image[reach:-reach, reach:-reach]
 
 
-def lag_operator_adjoint(deposit_idx, direction, lag, taps, adj_image, rows_out, adj_deposit_out) -> None:
-    """Adjoint of `lag_operator` in the deposit; overwrites."""
-    adj_deposit_out[:] = 0
-    blur, slope = taps[:, ::-1]
-    reach = len(blur) // 2
-    inner = np.zeros_like(adj_image)
-    inner[:, reach:-reach, reach:-reach] = adj_image[:, reach:-reach, reach:-reach]
-    for n, b in enumerate(deposit_idx):
-        along, across = (_filter(inner[n], shifts, axis=0) for shifts in (blur, slope))
-        rows_out[n] = along, across
-        for p in range(2):
-            adj_deposit_out[b, p] += _filter(along, blur, axis=1) - lag[n, p] * (
-                direction[n, 0] * _filter(along, slope, axis=1)
-                + direction[n, 1] * _filter(across, blur, axis=1)
-            )
-
-
-def _shares(x, y, t, weight, window_ptr, motion, frame, b, shape) -> tuple[NDArray, list]:
+def shares_of(x, y, t, weight, window_ptr, motion, frame, b, shape) -> tuple[NDArray, list]:
     """Events of a window that lie between cells, and for the four around: (image, row, column), share."""
     height, width = shape[2:]
     part = slice(window_ptr[b], window_ptr[b + 1])
@@ -75,7 +49,7 @@ def _shares(x, y, t, weight, window_ptr, motion, frame, b, shape) -> tuple[NDArr
     ]
 
 
-def _filter(image: NDArray, taps: NDArray, *, axis: int) -> NDArray:
+def filtered(image: NDArray, taps: NDArray, *, axis: int) -> NDArray:
     """Correlate along one axis; what lies nearer to the border than the taps reach is not to be used."""
     reach = len(taps) // 2
     total = np.zeros_like(image)

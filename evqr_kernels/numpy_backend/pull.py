@@ -1,4 +1,4 @@
-"""What stage two's damping pulls the modules to; the formula is in ``warp_backend/pull.py``."""
+"""What damping pulls modules to; the formula is in ``warp_backend/pull.py``."""
 
 from __future__ import annotations
 

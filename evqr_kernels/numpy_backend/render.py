@@ -1,4 +1,4 @@
-"""Image of a grid under a map; the formulas are in ``warp_backend/render.py`` and ``render_adjoint.py``."""
+"""Image of a grid under a map; the formulas are in ``warp_backend/render.py``."""
 
 from __future__ import annotations
 
@@ -19,34 +19,12 @@ def _erf(z: NDArray) -> NDArray[np.float64]:
 def render_code(grid, to_grid, outside, sigma, image_out) -> None:
     """Image of a grid under an affine map or a homography; overwrites."""
     for b in range(len(grid)):
-        seen = _seen(grid[b], to_grid[b], outside[b], sigma, image_out.shape[1:])
+        seen = seen_by(grid[b], to_grid[b], outside[b], sigma, image_out.shape[1:])
         image_out[b] = outside[b]
         image_out[b][seen.near] = np.einsum("pj,pi,pji->p", seen.share_v, seen.share_u, seen.nodes)
 
 
-def render_code_adjoint(
-    grid, to_grid, outside, sigma, adj_image, rows_out, adj_grid_out, adj_to_grid_out
-) -> None:
-    """Adjoint of `render_code` in grid and map; overwrites."""
-    for b in range(len(grid)):
-        seen = _seen(grid[b], to_grid[b], outside[b], sigma, adj_image.shape[1:])
-        adj = adj_image[b][seen.near]
-        image_du = np.einsum("pj,pi,pji->p", seen.share_v, seen.slope_u, seen.nodes)
-        image_dv = np.einsum("pj,pi,pji->p", seen.slope_v, seen.share_u, seen.nodes)
-        y, x = (axis.astype(grid.dtype) for axis in np.nonzero(seen.near))
-        adj_u, adj_v = adj * image_du * seen.inverse_depth, adj * image_dv * seen.inverse_depth
-        sums = [np.sum(along * by) for along in (adj_u, adj_v) for by in (x, y, np.ones_like(x))]
-        sums += [-np.sum((adj_u * seen.u + adj_v * seen.v) * by) for by in (x, y)]
-        adj_to_grid_out[b] = sums[: to_grid.shape[1]]
-
-        share = adj[:, None, None] * seen.share_v[:, :, None] * seen.share_u[:, None, :]
-        row, column = np.broadcast_arrays(seen.row[:, :, None], seen.column[:, None, :])
-        inside = _inside(row, column, grid.shape[1:])
-        adj_grid_out[b] = 0
-        np.add.at(adj_grid_out[b], (row[inside], column[inside]), share[inside])
-
-
-class _Seen(NamedTuple):
+class Seen(NamedTuple):
     """What the V pixels that see the grid see: T nodes along each axis."""
 
     near: NDArray  # (Y, X) whether the pixel sees a node
@@ -62,7 +40,8 @@ class _Seen(NamedTuple):
     nodes: NDArray  # (V, T, T)
 
 
-def _seen(grid: NDArray, to_grid: NDArray, outside, sigma: float, shape: tuple[int, ...]) -> _Seen:
+def seen_by(grid: NDArray, to_grid: NDArray, outside, sigma: float, shape: tuple[int, ...]) -> Seen:
+    """Find the pixels that see the grid, and what they see."""
     dtype, (rows, columns) = grid.dtype, grid.shape
     reach = dtype.type(0.5 + EDGE * sigma if sigma else 1.0)
     w = np.append(to_grid, np.zeros(8 - len(to_grid), dtype))
@@ -79,12 +58,13 @@ def _seen(grid: NDArray, to_grid: NDArray, outside, sigma: float, shape: tuple[i
     column, share_u, slope_u = _profile(u, sigma, reach)
     row, share_v, slope_v = _profile(v, sigma, reach)
     j, i = np.broadcast_arrays(row[:, :, None], column[:, None, :])
-    inside = _inside(j, i, grid.shape)
+    inside = are_inside(j, i, grid.shape)
     nodes = np.where(inside, grid[np.where(inside, j, 0), np.where(inside, i, 0)], outside)
-    return _Seen(near, u, v, inverse_depth[near], row, column, share_u, share_v, slope_u, slope_v, nodes)
+    return Seen(near, u, v, inverse_depth[near], row, column, share_u, share_v, slope_u, slope_v, nodes)
 
 
-def _inside(row: NDArray, column: NDArray, shape: tuple[int, ...]) -> NDArray[np.bool_]:
+def are_inside(row: NDArray, column: NDArray, shape: tuple[int, ...]) -> NDArray[np.bool_]:
+    """Tell which nodes are those of the grid."""
     return (row >= 0) & (column >= 0) & (row < shape[0]) & (column < shape[1])
 
 

@@ -1,4 +1,4 @@
-"""Stage two's solution; the method is in ``warp_backend/solve.py``."""
+"""The modules of a planar code, solved for; the method is in ``warp_backend/solve.py``."""
 
 from __future__ import annotations
 
@@ -7,9 +7,10 @@ from numpy.typing import NDArray
 
 
 def solve_code(
-    rhs, stencil, damping, free, q_inout, scratch, iterations_out, *, max_iterations, tolerance
+    rhs, stencil, damping, free, max_iterations, tolerance, residual_out, direction_out, next_direction_out,
+    product_out, sums_out, next_sums_out, q_inout, iterations_out,
 ) -> None:  # fmt: skip
-    """Conjugate gradients over the free modules; q is updated in place, the rest overwritten."""
+    """Conjugate gradients over the free modules; q is updated in place, the scratch is not used."""
     for b in range(len(rhs)):
         iterations_out[b] = _solve_window(
             rhs[b], stencil[b], damping[b], free != 0, q_inout[b], max_iterations, tolerance

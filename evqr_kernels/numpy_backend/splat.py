@@ -25,7 +25,7 @@ def bin_events(x, y, weight, window_ptr, reduction, image_out) -> None:
 
 def splat_events(x, y, t, weight, window_ptr, motion, lag, frame, image_out, cfg: SplatConfig) -> None:
     """Scatter transported events as splats; accumulates."""
-    taps = _taps(x, y, t, weight, window_ptr, motion, lag, frame, image_out.shape, cfg)
+    taps = taps_of(x, y, t, weight, window_ptr, motion, lag, frame, image_out.shape, cfg)
     ahead = taps.g_x - taps.lag_x * taps.s_x
     value = (
         ahead[:, None, :] * taps.g_y[:, :, None]
@@ -37,34 +37,6 @@ def splat_events(x, y, t, weight, window_ptr, motion, lag, frame, image_out, cfg
         np.broadcast_to(k, value.shape)[inside] for k in (taps.window, taps.row, taps.column)
     )
     np.add.at(image_out, (window, row, column), value[inside])
-
-
-def splat_events_adjoint(
-    x, y, t, weight, window_ptr, motion, lag, frame, adj_image, chunks_out, adj_weight_out, adj_motion_out,
-    cfg: SplatConfig,
-) -> None:  # fmt: skip
-    """Adjoint of `splat_events` in weight and motion; overwrites."""
-    taps = _taps(x, y, t, weight, window_ptr, motion, lag, frame, adj_image.shape, cfg)
-    row = np.clip(taps.row, 0, adj_image.shape[1] - 1)
-    column = np.clip(taps.column, 0, adj_image.shape[2] - 1)
-    adj = np.where(taps.inside, adj_image[taps.window, row, column], 0)
-    lag_x, lag_y = taps.lag_x, taps.lag_y
-
-    def total(along, across):
-        return np.einsum("eyx,ey,ex->e", adj, across, along)
-
-    adj_weight_out[:] = 0
-    adj_weight_out[taps.event] = total(taps.g_x - lag_x * taps.s_x, taps.g_y) - total(
-        lag_y * taps.g_x, taps.s_y
-    )
-    slope_x = total(taps.s_x - lag_x * taps.c_x, taps.g_y) - total(lag_y * taps.s_x, taps.s_y)
-    slope_y = total(taps.g_x - lag_x * taps.s_x, taps.s_y) - total(lag_y * taps.g_x, taps.c_y)
-    window = taps.window[:, 0, 0]
-    factor = weight[taps.event] * t[taps.event] / frame[window, 2]
-    adj_x, adj_y, dx, dy = factor * slope_x, factor * slope_y, taps.dx, taps.dy
-    adj_motion = np.stack([adj_x, adj_y, adj_x * dx, adj_x * dy, adj_y * dx, adj_y * dy], axis=1)
-    adj_motion_out[:] = 0
-    np.add.at(adj_motion_out, window, adj_motion[:, : adj_motion_out.shape[1]])
 
 
 def splat_profile(r: NDArray, cfg: SplatConfig) -> tuple[NDArray, NDArray, NDArray]:
@@ -79,7 +51,7 @@ def splat_profile(r: NDArray, cfg: SplatConfig) -> tuple[NDArray, NDArray, NDArr
     return values[0].astype(r.dtype), values[1].astype(r.dtype), values[2].astype(r.dtype)
 
 
-class _Taps(NamedTuple):
+class Taps(NamedTuple):
     """The T x T pixels around each event that can touch the image: V events, T taps an axis."""
 
     event: NDArray  # (V,) index of the event
@@ -99,7 +71,8 @@ class _Taps(NamedTuple):
     dy: NDArray
 
 
-def _taps(x, y, t, weight, window_ptr, motion, lag, frame, shape, cfg: SplatConfig) -> _Taps:
+def taps_of(x, y, t, weight, window_ptr, motion, lag, frame, shape, cfg: SplatConfig) -> Taps:
+    """Find the pixels around each event, where it is at the reference time."""
     _, height, width = shape
     half = x.dtype.type(0.5)
     window = _window_of_event(window_ptr, len(x))
@@ -121,7 +94,7 @@ def _taps(x, y, t, weight, window_ptr, motion, lag, frame, shape, cfg: SplatConf
     lag_px = np.where(weight[event] < 0, lag[window, 1], lag[window, 0])
     lag_px = np.divide(lag_px, speed, out=np.zeros_like(speed), where=speed > 0)
     row, column = row[:, :, None], column[:, None, :]
-    return _Taps(
+    return Taps(
         event,
         window[:, None, None],
         row,

@@ -10,6 +10,8 @@ def correlate_templates(
     image, busy, basis, mix, spans, quiet, least, squares_out, floor_out, sums_out, response_out, angle_out
 ) -> None:
     """Correlate an image, padded by n - 1, with a bank of n x n templates; overwrites."""
+    if not response_out.size:
+        return
     batch, height, width = response_out.shape
     size = len(spans)
     row = np.arange(size)[:, None]

@@ -14,7 +14,7 @@ columns of images; a letter is one size throughout a call.  Units: [px] of the s
 at hand, [weight] that of the events' weights and so of the images made of them, [loss] that of what is
 differentiated, [1] none, [any] what the caller likes, [of name] that of another argument.
 
-**Parameters.**  ``backend`` is a name for `evqr_kernels.backend.get_backend`; ``device`` is "cpu", "cuda:0",
+**Parameters.**  ``backend`` is a name for `evqr_kernels.get_backend`; ``device`` is "cpu", "cuda:0",
 ..., by default the backend's first.
 
 **Raises.**
@@ -25,7 +25,7 @@ ValueError           a wrong shape, layout or name, a setting or index out of ra
                      read-only, more than 2^30 events, or more than 2^31 - 1 elements of an array, scratch
                      included
 BackendUnavailable   a backend that cannot be loaded here
-NotImplementedError  an operation, dtype or device that the backend refuses, with its reason
+OperationRefused     an operation, dtype or device that the backend refuses, with its reason
 
 **Cost** counts what Warp's and Taichi's kernels do, and the scratch that a call allocates beside its results,
 of the call's float type unless said otherwise.  NumPy's code is the specification, written to be read, and
@@ -44,80 +44,17 @@ atomics      Threads add to one image.  On a GPU their order differs from run to
 Backends and devices agree with each other to rounding.
 """
 
-from evqr_kernels.ops.codes import (
-    align_poses,
-    code_rhs,
-    pull_modules,
-    sample_moments,
-    sample_moments_adjoint,
-    solve_code,
-)
-from evqr_kernels.ops.events import (
-    bin_events,
-    deposit_events,
-    deposit_events_adjoint,
-    lag_operator,
-    lag_operator_adjoint,
-    splat_events,
-    splat_events_adjoint,
-)
-from evqr_kernels.ops.images import (
-    clip_outliers,
-    correlate_templates,
-    local_maxima,
-    match_corners,
-    merge_maxima,
-    mix_images,
-    motion_correlation,
-    reduce_image,
-    surface_peak,
-)
-from evqr_kernels.ops.normal import (
-    code_normal_equations,
-    code_product,
-    pose_normal_equations,
-    solve_code_banded,
-)
-from evqr_kernels.ops.render import (
-    brightness_cost,
-    brightness_cost_adjoint,
-    brightness_residual,
-    brightness_residual_adjoint,
-    render_code,
-    render_code_adjoint,
-)
+# ruff: noqa: F403
+from evqr_kernels.ops import codes, events, images, normal, render
+from evqr_kernels.ops.codes import *
+from evqr_kernels.ops.events import *
+from evqr_kernels.ops.images import *
+from evqr_kernels.ops.normal import *
+from evqr_kernels.ops.render import *
 
-__all__ = [
-    "align_poses",
-    "bin_events",
-    "brightness_cost",
-    "brightness_cost_adjoint",
-    "brightness_residual",
-    "brightness_residual_adjoint",
-    "clip_outliers",
-    "code_normal_equations",
-    "code_product",
-    "code_rhs",
-    "correlate_templates",
-    "deposit_events",
-    "deposit_events_adjoint",
-    "lag_operator",
-    "lag_operator_adjoint",
-    "local_maxima",
-    "match_corners",
-    "merge_maxima",
-    "mix_images",
-    "motion_correlation",
-    "pose_normal_equations",
-    "pull_modules",
-    "reduce_image",
-    "render_code",
-    "render_code_adjoint",
-    "sample_moments",
-    "sample_moments_adjoint",
-    "solve_code",
-    "solve_code_banded",
-    "splat_events",
-    "splat_events_adjoint",
-    "surface_peak",
-]
+__all__: list[str] = []
+__all__ += codes.__all__
+__all__ += events.__all__
+__all__ += images.__all__
+__all__ += normal.__all__
+__all__ += render.__all__

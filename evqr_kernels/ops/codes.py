@@ -2,15 +2,20 @@
 
 from __future__ import annotations
 
-import numpy as np
+from evqr_kernels.call import checked
+from evqr_kernels.checks import Floats, Ints
 
-from evqr_kernels import arguments
-from evqr_kernels.checks import ArrayChecks, Floats, Ints
-from evqr_kernels.interop import any_arrays
-from evqr_kernels.launch import Launch, chunks_of_samples
+__all__ = [
+    "align_poses",
+    "code_rhs",
+    "pull_modules",
+    "sample_moments",
+    "sample_moments_adjoint",
+    "solve_code",
+]
 
 
-@any_arrays
+@checked
 def sample_moments(
     image: Floats, image_idx: Ints, pose: Floats, points: Floats, table: Floats, *,
     active: Ints | None = None, backend: str = "auto", device: str | None = None,
@@ -55,17 +60,10 @@ def sample_moments(
 
     Determinism: bit for bit.
     """
-    checks = ArrayChecks()
-    active = _check_moments(checks, image, image_idx, pose, points, table, active)
-    launch = Launch("sample_moments", checks, backend, device)
-    count, samples, moments = len(pose), len(points), table.shape[1] + 1
-    chunks = launch.scratch(count, chunks_of_samples(samples), moments)
-    inputs = launch.put(image, image_idx, pose, active, points, table)
-    launch.run(*inputs, chunks, launch.result(None, count, moments))
-    return launch.results()[0]
+    ...
 
 
-@any_arrays
+@checked
 def sample_moments_adjoint(
     image: Floats, image_idx: Ints, pose: Floats, points: Floats, table: Floats, adj_moments: Floats, *,
     active: Ints | None = None, out: Floats | None = None, backend: str = "auto", device: str | None = None,
@@ -101,18 +99,10 @@ def sample_moments_adjoint(
     Determinism: atomics, by poses that may look at the same image; to rounding on GPUs, and on CPUs with
     Taichi on more than one thread; bit for bit on CPUs else.
     """
-    checks = ArrayChecks()
-    active = _check_moments(checks, image, image_idx, pose, points, table, active)
-    checks.floats("adj_moments", adj_moments, "N", table.shape[1] + 1)
-    if out is not None:
-        checks.floats("out", out, "B", "Y", "X")
-    launch = Launch("sample_moments_adjoint", checks, backend, device)
-    inputs = launch.put(image, image_idx, pose, active, points, table, adj_moments)
-    launch.run(*inputs, launch.result(out, *image.shape))
-    return launch.results()[0]
+    ...
 
 
-@any_arrays
+@checked
 def align_poses(
     image: Floats, image_idx: Ints, pose: Floats, points: Floats, table: Floats, terms: Ints,
     factors: Ints, *, centre: tuple[float, float], scale: tuple[float, float], ridge: float = 1e-3,
@@ -183,29 +173,10 @@ def align_poses(
 
     Determinism: bit for bit.
     """
-    checks = ArrayChecks()
-    _check_moments(checks, image, image_idx, pose, points, table, None)
-    checks.ints("terms", terms, "P + 2", 4)
-    checks.ints("factors", factors, "P + 2", 4)
-    checks.at_least("max_iterations", max_iterations, 0)
-    for name, pair in (("centre", centre), ("scale", scale)):
-        if np.shape(pair) != (2,):
-            raise ValueError(f"{name} must be two numbers, along u and v, got {pair}")
-    if len(terms) not in (8, 10):
-        raise ValueError(f"terms must have shape (8, 4) or (10, 4), got {terms.shape}")
-    columns = table.shape[1]
-    if terms.min() < 0 or terms.max() >= columns:
-        raise ValueError(f"terms must be 0 to {columns - 1}, got {terms.min()} to {terms.max()}")
-    launch = Launch("align_poses", checks, backend, device)
-    settings = np.array([*centre, *scale, ridge, damping, tolerance], launch.dtype)
-    inputs = launch.put(image, image_idx, points, table, table.T @ table, terms, factors, settings)
-    refined, result = launch.result(pose.copy(), *pose.shape), launch.result(None, len(pose), 5)
-    launch.run(*inputs, max_iterations, refined, result)
-    poses, values = launch.results()
-    return poses, values
+    ...
 
 
-@any_arrays
+@checked
 def code_rhs(
     image: Floats, pose: Floats, lattice_u: Floats, lattice_v: Floats, profile: Floats, slope: Floats,
     gain: Floats, *, samples_a_module: int, backend: str = "auto", device: str | None = None,
@@ -252,19 +223,10 @@ def code_rhs(
 
     Determinism: bit for bit.
     """
-    checks = ArrayChecks()
-    arguments.code_rhs(checks, image, pose, lattice_u, lattice_v, profile, slope, gain)
-    checks.at_least("samples_a_module", samples_a_module, 1)
-    launch = Launch("code_rhs", checks, backend, device)
-    batch, samples = len(pose), (len(lattice_v), len(lattice_u))
-    rows, columns = (count // samples_a_module for count in samples)
-    inputs = launch.put(image, pose, lattice_u, lattice_v, profile, slope, gain)
-    scratch = launch.scratch(batch, *samples), launch.scratch(batch, 2, samples[0], columns)
-    launch.run(*inputs, samples_a_module, *scratch, launch.result(None, batch, rows, columns))
-    return launch.results()[0]
+    ...
 
 
-@any_arrays
+@checked
 def pull_modules(
     seen: Floats, q: Floats, damping: Floats, *, certainty: float, backend: str = "auto",
     device: str | None = None,
@@ -306,21 +268,10 @@ def pull_modules(
 
     Determinism: bit for bit.
     """
-    checks = ArrayChecks()
-    checks.floats("seen", seen, "B", "V", "U")
-    checks.floats("q", q, "B", "V", "U")
-    checks.floats("damping", damping, "B")
-    checks.at_least("certainty", certainty, 0.0)
-    if certainty == np.inf:  # times zero, of modules that lean nowhere
-        raise ValueError("certainty must be finite, got inf")
-    launch = Launch("pull_modules", checks, backend, device)
-    results = launch.result(None, *q.shape), launch.result(None, *q.shape[:2], dtype=np.int32)
-    launch.run(*launch.put(seen, q, damping), certainty, *results)
-    rhs, unclear = launch.results()
-    return rhs, unclear
+    ...
 
 
-@any_arrays
+@checked
 def solve_code(
     rhs: Floats, stencil: Floats, damping: Floats, free: Ints, start: Floats, *, max_iterations: int = 60,
     tolerance: float = 1e-3, backend: str = "auto", device: str | None = None,
@@ -371,34 +322,4 @@ def solve_code(
 
     Determinism: bit for bit.
     """
-    checks = ArrayChecks()
-    checks.floats("rhs", rhs, "B", "V", "U")
-    checks.floats("stencil", stencil, "B", "K", "K")
-    checks.floats("damping", damping, "B")
-    checks.ints("free", free, "V", "U")
-    checks.floats("start", start, "B", "V", "U")
-    checks.at_least("max_iterations", max_iterations, 0)
-    if stencil.shape[1] % 2 == 0:
-        raise ValueError(f"stencil must have an odd side, got {stencil.shape}")
-    launch = Launch("solve_code", checks, backend, device)
-    batch, rows, _ = rhs.shape
-    scratch = [launch.scratch(*rhs.shape) for _ in range(4)]
-    scratch += [launch.scratch(batch, 4, rows) for _ in range(2)]
-    q = launch.result(start.copy(), *start.shape)
-    iterations = launch.result(None, batch, dtype=np.int32)
-    launch.run(
-        *launch.put(rhs, stencil, damping, free), q, tuple(scratch), iterations,
-        max_iterations=max_iterations, tolerance=tolerance,
-    )  # fmt: skip
-    solution, count = launch.results()
-    return solution, count
-
-
-def _check_moments(
-    checks: ArrayChecks, image: Floats, image_idx: Ints, pose: Floats, points: Floats, table: Floats,
-    active: Ints | None,
-) -> Ints:  # fmt: skip
-    """Check what reads images through poses; give ``active``, or what stands for it."""
-    arguments.sample_moments(checks, image, image_idx, pose, active, points, table)
-    checks.index("image_idx", image_idx, len(image))
-    return np.ones(len(pose), np.int32) if active is None else active
+    ...

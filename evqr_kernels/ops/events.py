@@ -2,16 +2,22 @@
 
 from __future__ import annotations
 
-import numpy as np
-
-from evqr_kernels import arguments
-from evqr_kernels.checks import ArrayChecks, Floats, Ints
+from evqr_kernels.call import checked
+from evqr_kernels.checks import Floats, Ints
 from evqr_kernels.config import SplatConfig
-from evqr_kernels.interop import any_arrays
-from evqr_kernels.launch import Launch, chunks_of
+
+__all__ = [
+    "bin_events",
+    "deposit_events",
+    "deposit_events_adjoint",
+    "lag_operator",
+    "lag_operator_adjoint",
+    "splat_events",
+    "splat_events_adjoint",
+]
 
 
-@any_arrays
+@checked
 def bin_events(
     x: Floats, y: Floats, weight: Floats, window_ptr: Ints, *, reduction: float = 1.0,
     shape: tuple[int, int] | None = None, out: Floats | None = None, backend: str = "auto",
@@ -58,17 +64,10 @@ def bin_events(
 
     Determinism: atomics; to rounding on GPUs, bit for bit on CPUs.
     """
-    checks = ArrayChecks()
-    arguments.events(checks, window_ptr, x=x, y=y, weight=weight)
-    checks.window_values(window_ptr)
-    checks.at_least("reduction", reduction, 1e-6)
-    size = checks.image_shape(out, shape)
-    launch = Launch("bin_events", checks, backend, device)
-    launch.run(*launch.put(x, y, weight, window_ptr), reduction, launch.result(out, *size))
-    return launch.results()[0]
+    ...
 
 
-@any_arrays
+@checked
 def splat_events(
     x: Floats, y: Floats, t: Floats, weight: Floats, window_ptr: Ints, motion: Floats, *,
     lag: Floats | None = None, frame: Floats | None = None, cfg: SplatConfig | None = None,
@@ -130,16 +129,10 @@ def splat_events(
 
     Determinism: atomics; to rounding on GPUs, bit for bit on CPUs.
     """
-    checks = ArrayChecks()
-    lag, frame = _check_splat(checks, x, y, t, weight, window_ptr, motion, lag, frame)
-    size = checks.image_shape(out, shape)
-    launch = Launch("splat_events", checks, backend, device)
-    inputs = launch.put(x, y, t, weight, window_ptr, motion, lag, frame)
-    launch.run(*inputs, launch.result(out, *size), cfg or SplatConfig())
-    return launch.results()[0]
+    ...
 
 
-@any_arrays
+@checked
 def splat_events_adjoint(
     x: Floats, y: Floats, t: Floats, weight: Floats, window_ptr: Ints, motion: Floats, adj_image: Floats, *,
     lag: Floats | None = None, frame: Floats | None = None, cfg: SplatConfig | None = None,
@@ -176,20 +169,10 @@ def splat_events_adjoint(
     Determinism: bit for bit, alone and in a batch of windows of a size.  Where a window has more events than
     most, more than 64 of them make a part of the sum: its ``adj_motion`` then agrees to rounding.
     """
-    checks = ArrayChecks()
-    lag, frame = _check_splat(checks, x, y, t, weight, window_ptr, motion, lag, frame)
-    checks.floats("adj_image", adj_image, "B", "Y", "X")
-    launch = Launch("splat_events_adjoint", checks, backend, device)
-    inputs = launch.put(x, y, t, weight, window_ptr, motion, lag, frame, adj_image)
-    events, windows = len(x), len(motion)
-    chunks = launch.scratch(windows, chunks_of(events, windows), motion.shape[1])
-    adj_weight, adj_motion = launch.result(None, events), launch.result(None, *motion.shape)
-    launch.run(*inputs, chunks, adj_weight, adj_motion, cfg or SplatConfig())
-    adj_weight, adj_motion = launch.results()
-    return adj_weight, adj_motion
+    ...
 
 
-@any_arrays
+@checked
 def deposit_events(
     x: Floats, y: Floats, t: Floats, weight: Floats, window_ptr: Ints, motion: Floats, *,
     frame: Floats | None = None, shape: tuple[int, int] | None = None, out: Floats | None = None,
@@ -234,21 +217,10 @@ def deposit_events(
 
     Determinism: atomics; to rounding on GPUs, bit for bit on CPUs.
     """
-    checks = ArrayChecks()
-    arguments.deposit_events(checks, x, y, t, weight, window_ptr, motion, frame)
-    frame = _check_values(checks, window_ptr, motion, frame)
-    if out is not None:
-        checks.floats("out", out, "B", 2, "Y", "X")
-        size = out.shape
-    else:
-        batch, height, width = checks.image_shape(None, shape)
-        size = batch, 2, height, width
-    launch = Launch("deposit_events", checks, backend, device)
-    launch.run(*launch.put(x, y, t, weight, window_ptr, motion, frame), launch.result(out, *size))
-    return launch.results()[0]
+    ...
 
 
-@any_arrays
+@checked
 def deposit_events_adjoint(
     x: Floats, y: Floats, t: Floats, weight: Floats, window_ptr: Ints, motion: Floats, adj_deposit: Floats, *,
     frame: Floats | None = None, backend: str = "auto", device: str | None = None,
@@ -280,17 +252,10 @@ def deposit_events_adjoint(
 
     Determinism: bit for bit.
     """
-    checks = ArrayChecks()
-    arguments.deposit_events(checks, x, y, t, weight, window_ptr, motion, frame)
-    frame = _check_values(checks, window_ptr, motion, frame)
-    checks.floats("adj_deposit", adj_deposit, "B", 2, "Y", "X")
-    launch = Launch("deposit_events_adjoint", checks, backend, device)
-    inputs = launch.put(x, y, t, weight, window_ptr, motion, frame, adj_deposit)
-    launch.run(*inputs, launch.result(None, len(x)))
-    return launch.results()[0]
+    ...
 
 
-@any_arrays
+@checked
 def lag_operator(
     deposit: Floats, deposit_idx: Ints, direction: Floats, lag: Floats, taps: Floats, *,
     backend: str = "auto", device: str | None = None,
@@ -333,21 +298,10 @@ def lag_operator(
 
     Determinism: bit for bit.
     """
-    checks = ArrayChecks()
-    arguments.lag_operator(checks, deposit, deposit_idx, direction, lag, taps)
-    checks.index("deposit_idx", deposit_idx, len(deposit))
-    launch = Launch("lag_operator", checks, backend, device)
-    count, (_, _, height, width) = len(deposit_idx), deposit.shape
-    rows = launch.scratch(count, 2, height, width)
-    launch.run(
-        *launch.put(deposit, deposit_idx, direction, lag, taps),
-        rows,
-        launch.result(None, count, height, width),
-    )
-    return launch.results()[0]
+    ...
 
 
-@any_arrays
+@checked
 def lag_operator_adjoint(
     deposit_idx: Ints, direction: Floats, lag: Floats, taps: Floats, adj_image: Floats, *, deposits: int,
     backend: str = "auto", device: str | None = None,
@@ -383,37 +337,4 @@ def lag_operator_adjoint(
 
     Determinism: bit for bit; images of one deposit are added up in order.
     """
-    checks = ArrayChecks()
-    arguments.lags(checks, deposit_idx, direction, lag, taps)
-    checks.floats("adj_image", adj_image, "N", "Y", "X")
-    size = taps.shape[1]
-    if adj_image.shape[2] < size:
-        raise ValueError(f"adj_image must be at least K = {size} wide, got {adj_image.shape[2]}")
-    checks.at_least("deposits", deposits, 0)
-    checks.index("deposit_idx", deposit_idx, deposits)
-    launch = Launch("lag_operator_adjoint", checks, backend, device)
-    count, height, width = adj_image.shape
-    inputs = launch.put(deposit_idx, direction, lag, taps, adj_image)
-    rows = launch.scratch(count, 2, height, width)
-    launch.run(*inputs, rows, launch.result(None, deposits, 2, height, width))
-    return launch.results()[0]
-
-
-def _check_splat(
-    checks: ArrayChecks, x: Floats, y: Floats, t: Floats, weight: Floats, window_ptr: Ints, motion: Floats,
-    lag: Floats | None, frame: Floats | None,
-) -> tuple[Floats, Floats]:  # fmt: skip
-    """Check what `splat_events` and its adjoint share; give lag and frame, or what stands for them."""
-    arguments.splat_events(checks, x, y, t, weight, window_ptr, motion, lag, frame)
-    frame = _check_values(checks, window_ptr, motion, frame)
-    return (np.zeros((len(motion), 2), motion.dtype) if lag is None else lag), frame
-
-
-def _check_values(checks: ArrayChecks, window_ptr: Ints, motion: Floats, frame: Floats | None) -> Floats:
-    """Check the values of windows and frame; give the frame, or what stands for it."""
-    checks.window_values(window_ptr)
-    if frame is None:
-        return np.tile(np.array([0.0, 0.0, 1.0], motion.dtype), (len(motion), 1))
-    if not (frame[:, 2] > 0).all():
-        raise ValueError(f"frame must have a positive scale, got {frame[:, 2].min()}")
-    return frame
+    ...

@@ -2,14 +2,23 @@
 
 from __future__ import annotations
 
-import numpy as np
+from evqr_kernels.call import checked
+from evqr_kernels.checks import Floats, Ints
 
-from evqr_kernels.checks import ArrayChecks, Floats, Ints
-from evqr_kernels.interop import any_arrays
-from evqr_kernels.launch import Launch
+__all__ = [
+    "clip_outliers",
+    "correlate_templates",
+    "local_maxima",
+    "match_corners",
+    "merge_maxima",
+    "mix_images",
+    "motion_correlation",
+    "reduce_image",
+    "surface_peak",
+]
 
 
-@any_arrays
+@checked
 def motion_correlation(
     images: Floats, *, radius: int, clip: float, backend: str = "auto", device: str | None = None
 ) -> tuple[Floats, Floats]:
@@ -50,22 +59,10 @@ def motion_correlation(
 
     Determinism: bit for bit.
     """
-    checks = ArrayChecks()
-    checks.floats("images", images, "B", 2, "Y", "X")
-    checks.at_least("radius", radius, 0)
-    checks.at_least("clip", clip, 0.0)
-    launch = Launch("motion_correlation", checks, backend, device)
-    shifts, (batch, _, height, width) = 2 * radius + 1, images.shape
-    found = launch.backend.empty((batch, height, width), np.int32, launch.device)
-    rows = launch.scratch(batch, height, shifts, -(-shifts // 16) * 16)
-    correlation, energy = launch.result(None, batch, shifts, shifts), launch.result(None, batch, 2)
-    energy_rows = launch.scratch(batch, height, 2)
-    launch.run(*launch.put(images.copy()), clip, radius, found, rows, energy_rows, correlation, energy)
-    correlation, energy = launch.results()
-    return correlation, energy
+    ...
 
 
-@any_arrays
+@checked
 def surface_peak(
     surface: Floats, smoother: Floats, *, backend: str = "auto", device: str | None = None
 ) -> Floats:
@@ -100,19 +97,10 @@ def surface_peak(
 
     Determinism: bit for bit.
     """
-    checks = ArrayChecks()
-    checks.floats("surface", surface, "B", "N", "N")
-    checks.floats("smoother", smoother, "N", "N")
-    batch, size, _ = surface.shape
-    if size < 3 or size % 2 == 0:
-        raise ValueError(f"surface must have an odd size of at least 3, got {size}")
-    launch = Launch("surface_peak", checks, backend, device)
-    scratch = launch.scratch(batch, size, size), launch.scratch(batch, size, size)
-    launch.run(*launch.put(surface, smoother), *scratch, launch.result(None, batch, 3))
-    return launch.results()[0]
+    ...
 
 
-@any_arrays
+@checked
 def clip_outliers(
     image: Floats, *, factor: float, backend: str = "auto", device: str | None = None
 ) -> tuple[Floats, Floats]:
@@ -149,19 +137,10 @@ def clip_outliers(
 
     Determinism: bit for bit.
     """
-    checks = ArrayChecks()
-    checks.floats("image", image, "B", "Y", "X")
-    checks.at_least("factor", factor, 0.0)
-    launch = Launch("clip_outliers", checks, backend, device)
-    batch, height, _ = image.shape
-    scratch = launch.scratch(batch, height, 2), launch.scratch(batch)
-    busy, clipped = launch.result(None, batch), launch.result(None, *image.shape)
-    launch.run(*launch.put(image), factor, *scratch, busy, clipped)
-    busy, clipped = launch.results()
-    return clipped, busy
+    ...
 
 
-@any_arrays
+@checked
 def reduce_image(image: Floats, *, ratio: float, backend: str = "auto", device: str | None = None) -> Floats:
     """Sum an image over coarser pixels, with fractional coverage at their borders.
 
@@ -191,18 +170,10 @@ def reduce_image(image: Floats, *, ratio: float, backend: str = "auto", device: 
 
     Determinism: bit for bit.
     """
-    checks = ArrayChecks()
-    checks.floats("image", image, "B", "Y", "X")
-    checks.at_least("ratio", ratio, 1.0)
-    launch = Launch("reduce_image", checks, backend, device)
-    batch, height, width = image.shape
-    coarse_height = int(np.ceil(height / ratio))
-    out = launch.result(None, batch, coarse_height, int(np.ceil(width / ratio)))
-    launch.run(*launch.put(image), ratio, launch.scratch(batch, coarse_height, width), out)
-    return launch.results()[0]
+    ...
 
 
-@any_arrays
+@checked
 def mix_images(images: Floats, weight: Floats, *, backend: str = "auto", device: str | None = None) -> Floats:
     """Make weighted sums of images.
 
@@ -233,18 +204,10 @@ def mix_images(images: Floats, weight: Floats, *, backend: str = "auto", device:
 
     Determinism: bit for bit.
     """
-    checks = ArrayChecks()
-    checks.floats("images", images, "K", "Y", "X")
-    checks.floats("weight", weight, "N", "K")
-    _, height, width = images.shape
-    # the last columns may be computed for nothing: kernels work on at least sixteen neighbours
-    images = np.pad(images, ((0, 0), (0, 0), (0, max(0, 16 - width))))
-    launch = Launch("mix_images", checks, backend, device)
-    launch.run(*launch.put(images, weight), launch.result(None, len(weight), height, images.shape[2]))
-    return np.ascontiguousarray(launch.results()[0][:, :, :width])
+    ...
 
 
-@any_arrays
+@checked
 def correlate_templates(
     image: Floats,
     busy: Floats,
@@ -303,39 +266,10 @@ def correlate_templates(
 
     Determinism: bit for bit.
     """
-    checks = ArrayChecks()
-    checks.floats("image", image, "B", "Y", "X")
-    checks.floats("busy", busy, "B")
-    checks.floats("basis", basis, "N", "N", 5)
-    checks.floats("mix", mix, "A", 5)
-    checks.ints("spans", spans, "N", 2)
-    checks.at_least("quiet", quiet, 0.0)
-    checks.at_least("least", least, 0.0)
-    n, (batch, height, width) = len(spans), image.shape
-    if n and not (spans.min() >= 0 and spans.max() <= n and (spans[:, 0] <= spans[:, 1]).all()):
-        raise ValueError(f"spans must be 0 to {n} and not decrease, got {spans.min()} to {spans.max()}")
-    # the last columns may be computed for nothing: kernels work on at least four neighbours
-    wide, tall = max(4, width - n + 1), max(0, height - n + 1)
-    image = np.pad(image, ((0, 0), (0, 0), (0, wide - (width - n + 1))))
-    launch = Launch("correlate_templates", checks, backend, device)
-    shape = (batch, tall, wide)
-    response, angle = launch.result(None, *shape), launch.result(None, *shape, dtype=np.int32)
-    launch.run(
-        *launch.put(image, busy, basis, mix, spans),
-        quiet,
-        least,
-        launch.scratch(batch, height + 1, image.shape[2]),
-        launch.scratch(batch),
-        launch.scratch(batch, 6, tall, wide),
-        response,
-        angle,
-    )
-    response, angle = launch.results()
-    keep = max(0, width - n + 1)
-    return np.ascontiguousarray(response[:, :, :keep]), np.ascontiguousarray(angle[:, :, :keep])
+    ...
 
 
-@any_arrays
+@checked
 def local_maxima(
     response: Floats,
     angle: Ints,
@@ -389,22 +323,10 @@ def local_maxima(
 
     Determinism: bit for bit.
     """
-    checks = ArrayChecks()
-    checks.floats("response", response, "B", "Y", "X")
-    checks.ints("angle", angle, "B", "Y", "X")
-    for name, value in (("least", least), ("cell", cell), ("size", size)):
-        checks.at_least(name, value, 0.0)
-    checks.at_least("most", most, 1)
-    batch, height, width = response.shape
-    if min(height, width) < 3:
-        raise ValueError(f"response must have at least 3 rows and columns, got {height} and {width}")
-    launch = Launch("local_maxima", checks, backend, device)
-    out = launch.result(None, batch, height, most, 5)
-    launch.run(*launch.put(response, angle), least, cell, size, turn, out)
-    return launch.results()[0]
+    ...
 
 
-@any_arrays
+@checked
 def merge_maxima(
     maxima: Floats,
     *,
@@ -450,20 +372,10 @@ def merge_maxima(
 
     Determinism: bit for bit.
     """
-    checks = ArrayChecks()
-    checks.floats("maxima", maxima, "B", "N", 5)
-    checks.at_least("apart", apart, 0.0)
-    checks.at_least("log_ratio", log_ratio, 0.0)
-    checks.at_least("most", most, 1)
-    launch = Launch("merge_maxima", checks, backend, device)
-    batch, count, _ = maxima.shape
-    index = launch.backend.empty((batch, count), np.int32, launch.device)
-    out = launch.result(None, batch, most, 5)
-    launch.run(*launch.put(maxima), apart, log_ratio, launch.scratch(batch, count), index, out)
-    return launch.results()[0]
+    ...
 
 
-@any_arrays
+@checked
 def match_corners(
     peaks: Floats, tolerances: Floats, *, most: int = 8, backend: str = "auto", device: str | None = None
 ) -> Floats:
@@ -475,7 +387,7 @@ def match_corners(
         Response, x, y, size and angle, as of `merge_maxima`: none of response 0 before another.
     tolerances : (5,) float [1, 1, rad, 1, 1]
         Logarithm of the ratio of the legs, as a magnitude; the same of sizes; angles; logarithms of the
-        fewest and the most modules between the finder patterns of a code.
+        fewest and the most modules between two peaks.
     most : int
         Triples kept of a corner, the best.
     backend, device : str
@@ -503,13 +415,4 @@ def match_corners(
 
     Determinism: bit for bit.
     """
-    checks = ArrayChecks()
-    checks.floats("peaks", peaks, "B", "P", 5)
-    checks.floats("tolerances", tolerances, 5)
-    checks.at_least("most", most, 1)
-    launch = Launch("match_corners", checks, backend, device)
-    batch, count, _ = peaks.shape
-    ends = launch.backend.empty((batch, count, count), np.int32, launch.device)
-    out = launch.result(None, batch, count, most, 4)
-    launch.run(*launch.put(peaks, tolerances), ends, launch.scratch(batch, count, count, 3), out)
-    return launch.results()[0]
+    ...

@@ -2,15 +2,18 @@
 
 from __future__ import annotations
 
-import numpy as np
+from evqr_kernels.call import checked
+from evqr_kernels.checks import Floats, Ints
 
-from evqr_kernels import arguments
-from evqr_kernels.checks import ArrayChecks, Floats, Ints
-from evqr_kernels.interop import any_arrays
-from evqr_kernels.launch import Launch
+__all__ = [
+    "code_normal_equations",
+    "code_product",
+    "pose_normal_equations",
+    "solve_code_banded",
+]
 
 
-@any_arrays
+@checked
 def pose_normal_equations(
     moments: Floats, gram: Floats, terms: Ints, factors: Ints, *, ridge: float = 1e-3, backend: str = "auto",
     device: str | None = None,
@@ -56,25 +59,10 @@ def pose_normal_equations(
 
     Determinism: bit for bit.
     """
-    checks = ArrayChecks()
-    checks.floats("gram", gram, "C", "C")
-    checks.floats("moments", moments, "N", len(gram) + 1)
-    checks.ints("terms", terms, "P + 2", 4)
-    checks.ints("factors", factors, "P + 2", 4)
-    if len(terms) not in (8, 10):
-        raise ValueError(f"terms must have shape (8, 4) or (10, 4), got {terms.shape}")
-    checks.at_least("C", len(gram), 2)
-    checks.index("terms", terms, len(gram))
-    launch = Launch("pose_normal_equations", checks, backend, device)
-    count, parameters = len(moments), len(terms)
-    shapes = (count, 2), (count, parameters, parameters), (count, parameters)
-    inputs = launch.put(moments, gram, terms, factors)
-    launch.run(*inputs, ridge, *(launch.result(None, *shape) for shape in shapes))
-    gain, matrix, rhs = launch.results()
-    return gain, matrix, rhs
+    ...
 
 
-@any_arrays
+@checked
 def code_normal_equations(
     image: Floats, pose: Floats, lattice_u: Floats, lattice_v: Floats, profile: Floats, slope: Floats,
     gain: Floats, *, samples_a_module: int, reach: int = 2, backend: str = "auto", device: str | None = None,
@@ -113,22 +101,10 @@ def code_normal_equations(
 
     Determinism: bit for bit.
     """
-    checks = ArrayChecks()
-    arguments.code_rhs(checks, image, pose, lattice_u, lattice_v, profile, slope, gain)
-    checks.at_least("samples_a_module", samples_a_module, 1)
-    checks.at_least("reach", reach, 0)
-    launch = Launch("code_normal_equations", checks, backend, device)
-    batch, samples, side = len(pose), (len(lattice_v), len(lattice_u)), 2 * reach + 1
-    rows, columns = (count // samples_a_module for count in samples)
-    inputs = launch.put(image, pose, lattice_u, lattice_v, profile, slope, gain)
-    scratch = launch.scratch(batch, *samples), launch.scratch(batch, 2, samples[0], columns)
-    results = launch.result(None, batch, side, side), launch.result(None, batch, rows, columns)
-    launch.run(*inputs, samples_a_module, *scratch, *results)
-    stencil, rhs = launch.results()
-    return stencil, rhs
+    ...
 
 
-@any_arrays
+@checked
 def code_product(
     q: Floats, stencil: Floats, damping: Floats, free: Ints, *, backend: str = "auto",
     device: str | None = None,
@@ -170,15 +146,10 @@ def code_product(
 
     Determinism: bit for bit.
     """
-    checks = ArrayChecks()
-    checks.floats("q", q, "B", "V", "U")
-    _check_system(checks, stencil, damping, free)
-    launch = Launch("code_product", checks, backend, device)
-    launch.run(*launch.put(q, stencil, damping, free), launch.result(None, *q.shape))
-    return launch.results()[0]
+    ...
 
 
-@any_arrays
+@checked
 def solve_code_banded(
     rhs: Floats, stencil: Floats, damping: Floats, free: Ints, start: Floats, *, backend: str = "auto",
     device: str | None = None,
@@ -223,21 +194,4 @@ def solve_code_banded(
 
     Determinism: bit for bit.
     """
-    checks = ArrayChecks()
-    checks.floats("rhs", rhs, "B", "V", "U")
-    _check_system(checks, stencil, damping, free)
-    checks.floats("start", start, "B", "V", "U")
-    launch = Launch("solve_code_banded", checks, backend, device)
-    batch, rows, columns = rhs.shape
-    width = stencil.shape[1] // 2 * (min(rows, columns) + 1)
-    band = launch.scratch(batch, rows * columns, width + 1)
-    launch.run(*launch.put(rhs, stencil, damping, free), band, launch.result(np.array(start), *start.shape))
-    return launch.results()[0]
-
-
-def _check_system(checks: ArrayChecks, stencil: Floats, damping: Floats, free: Ints) -> None:
-    checks.floats("stencil", stencil, "B", "K", "K")
-    checks.floats("damping", damping, "B")
-    checks.ints("free", free, "V", "U")
-    if stencil.shape[1] % 2 == 0:
-        raise ValueError(f"stencil must have an odd side, got {stencil.shape}")
+    ...

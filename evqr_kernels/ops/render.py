@@ -2,15 +2,20 @@
 
 from __future__ import annotations
 
-import numpy as np
+from evqr_kernels.call import checked
+from evqr_kernels.checks import Floats
 
-from evqr_kernels import arguments
-from evqr_kernels.checks import ArrayChecks, Floats
-from evqr_kernels.interop import any_arrays
-from evqr_kernels.launch import Launch
+__all__ = [
+    "brightness_cost",
+    "brightness_cost_adjoint",
+    "brightness_residual",
+    "brightness_residual_adjoint",
+    "render_code",
+    "render_code_adjoint",
+]
 
 
-@any_arrays
+@checked
 def render_code(
     grid: Floats, to_grid: Floats, outside: Floats, *, sigma: float = 0.0,
     shape: tuple[int, int] | None = None, out: Floats | None = None, backend: str = "auto",
@@ -60,15 +65,10 @@ def render_code(
 
     Determinism: bit for bit.
     """
-    checks = ArrayChecks()
-    arguments.render_code(checks, grid, to_grid, outside, sigma)
-    size = checks.image_shape(out, shape)
-    launch = Launch("render_code", checks, backend, device)
-    launch.run(*launch.put(grid, to_grid, outside), sigma, launch.result(out, *size))
-    return launch.results()[0]
+    ...
 
 
-@any_arrays
+@checked
 def render_code_adjoint(
     grid: Floats, to_grid: Floats, outside: Floats, adj_image: Floats, *, sigma: float = 0.0,
     backend: str = "auto", device: str | None = None,
@@ -103,20 +103,10 @@ def render_code_adjoint(
 
     Determinism: bit for bit.
     """
-    checks = ArrayChecks()
-    arguments.render_code(checks, grid, to_grid, outside, sigma)
-    checks.floats("adj_image", adj_image, "B", "Y", "X")
-    launch = Launch("render_code_adjoint", checks, backend, device)
-    batch, height, _ = adj_image.shape
-    inputs = launch.put(grid, to_grid, outside, adj_image)
-    rows = launch.scratch(batch, height, to_grid.shape[1])
-    adj_grid, adj_to_grid = launch.result(None, *grid.shape), launch.result(None, *to_grid.shape)
-    launch.run(*inputs[:3], sigma, inputs[3], rows, adj_grid, adj_to_grid)
-    adj_grid, adj_to_grid = launch.results()
-    return adj_grid, adj_to_grid
+    ...
 
 
-@any_arrays
+@checked
 def brightness_residual(
     luminance: Floats, events_image: Floats, motion: Floats, *, out: Floats | None = None,
     backend: str = "auto", device: str | None = None,
@@ -156,16 +146,10 @@ def brightness_residual(
 
     Determinism: bit for bit.
     """
-    checks = ArrayChecks()
-    arguments.brightness_residual(checks, luminance, events_image, motion)
-    if out is not None:
-        checks.floats("out", out, "B", "Y", "X")
-    launch = Launch("brightness_residual", checks, backend, device)
-    launch.run(*launch.put(luminance, events_image, motion), launch.result(out, *luminance.shape))
-    return launch.results()[0]
+    ...
 
 
-@any_arrays
+@checked
 def brightness_residual_adjoint(
     luminance: Floats,
     motion: Floats,
@@ -204,20 +188,10 @@ def brightness_residual_adjoint(
 
     Determinism: bit for bit.
     """
-    checks = ArrayChecks()
-    checks.floats("luminance", luminance, "B", "Y", "X")
-    checks.floats("motion", motion, "B", 2)
-    checks.floats("adj_residual", adj_residual, "B", "Y", "X")
-    launch = Launch("brightness_residual_adjoint", checks, backend, device)
-    batch, height, _ = luminance.shape
-    inputs = launch.put(luminance, motion, adj_residual)
-    rows = launch.scratch(batch, height, 2)
-    launch.run(*inputs, rows, launch.result(None, *luminance.shape), launch.result(None, batch, 2))
-    adj_luminance, adj_motion = launch.results()
-    return adj_luminance, adj_motion
+    ...
 
 
-@any_arrays
+@checked
 def brightness_cost(
     luminance: Floats, events_image: Floats, motion: Floats, *, mask: Floats | None = None,
     backend: str = "auto", device: str | None = None,
@@ -254,16 +228,10 @@ def brightness_cost(
 
     Determinism: bit for bit.
     """
-    checks = ArrayChecks()
-    mask = _check_cost(checks, luminance, events_image, motion, mask)
-    launch = Launch("brightness_cost", checks, backend, device)
-    batch, height, _ = luminance.shape
-    inputs = launch.put(luminance, events_image, motion, mask)
-    launch.run(*inputs, launch.scratch(batch, height), launch.result(None, batch))
-    return launch.results()[0]
+    ...
 
 
-@any_arrays
+@checked
 def brightness_cost_adjoint(
     luminance: Floats, events_image: Floats, motion: Floats, adj_cost: Floats, *, mask: Floats | None = None,
     backend: str = "auto", device: str | None = None,
@@ -301,28 +269,4 @@ def brightness_cost_adjoint(
 
     Determinism: bit for bit.
     """
-    checks = ArrayChecks()
-    mask = _check_cost(checks, luminance, events_image, motion, mask)
-    checks.floats("adj_cost", adj_cost, "B")
-    launch = Launch("brightness_cost_adjoint", checks, backend, device)
-    batch, height, _ = luminance.shape
-    inputs = launch.put(luminance, events_image, motion, mask, adj_cost)
-    rows = launch.scratch(batch, height, 2)
-    image = luminance.shape
-    launch.run(
-        *inputs, rows, launch.result(None, *image), launch.result(None, *image), launch.result(None, batch, 2)
-    )
-    adj_luminance, adj_events, adj_motion = launch.results()
-    return adj_luminance, adj_events, adj_motion
-
-
-def _check_cost(
-    checks: ArrayChecks, luminance: Floats, events_image: Floats, motion: Floats, mask: Floats | None
-) -> Floats:
-    """Check the arguments of the cost, values included; give the mask, made where there is none."""
-    arguments.brightness_cost(checks, luminance, events_image, motion, mask)
-    if mask is None:
-        return np.ones_like(luminance)
-    if mask.size:
-        checks.at_least("mask", float(mask.min()), 0.0)
-    return mask
+    ...

@@ -11,81 +11,23 @@ from typing import Any
 import numpy as np
 from numpy.typing import DTypeLike, NDArray
 
-from evqr_kernels.backend import OPS
+from evqr_kernels.backend import Calls, Launchers, refusal
+from evqr_kernels.call import example
 from evqr_kernels.checks import check_contiguous
-from evqr_kernels.config import DEFAULT_KERNELS, KernelSet, SplatConfig
-from evqr_kernels.taichi_backend import (
-    align,
-    banded,
-    code,
-    code_normal,
-    cost,
-    images,
-    lag,
-    lag_adjoint,
-    motion,
-    peaks,
-    pose,
-    pose_normal,
-    pull,
-    render,
-    render_adjoint,
-    residual,
-    runtime,
-    solve,
-    splat,
-    splat_adjoint,
-    sums,
-    templates,
-)
+from evqr_kernels.taichi_backend import runtime
 from evqr_kernels.taichi_backend.arrays import DeviceArray, write
-from evqr_kernels.taichi_backend.language import CPU_BLOCK, DTYPES, GPU_BLOCK, ti
-from evqr_kernels.taichi_backend.launches import LOCK, compile_kernel, launch, record
-
-TAPS = 5
-"""Taps of the lag operator that reading a code asks for."""
+from evqr_kernels.taichi_backend.language import DTYPES, ti, variant
+from evqr_kernels.taichi_backend.launches import LOCK, clear, compile_kernel, kernels_of, record
 
 
-class TaichiBackend:
+class TaichiBackend(Launchers):
     """Kernels written in Taichi, for CPUs, NVIDIA GPUs and whatever runs Vulkan or Metal."""
 
     name = "taichi"
 
-    bin_events = staticmethod(splat.bin_events)
-    splat_events = staticmethod(splat.splat_events)
-    splat_events_adjoint = staticmethod(splat_adjoint.splat_events_adjoint)
-    deposit_events = staticmethod(lag.deposit_events)
-    deposit_events_adjoint = staticmethod(lag_adjoint.deposit_events_adjoint)
-    lag_operator = staticmethod(lag.lag_operator)
-    lag_operator_adjoint = staticmethod(lag_adjoint.lag_operator_adjoint)
-    motion_correlation = staticmethod(motion.motion_correlation)
-    surface_peak = staticmethod(motion.surface_peak)
-    clip_outliers = staticmethod(images.clip_outliers)
-    reduce_image = staticmethod(images.reduce_image)
-    mix_images = staticmethod(images.mix_images)
-    correlate_templates = staticmethod(templates.correlate_templates)
-    local_maxima = staticmethod(peaks.local_maxima)
-    merge_maxima = staticmethod(peaks.merge_maxima)
-    match_corners = staticmethod(peaks.match_corners)
-    sample_moments = staticmethod(pose.sample_moments)
-    sample_moments_adjoint = staticmethod(pose.sample_moments_adjoint)
-    align_poses = staticmethod(align.align_poses)
-    pose_normal_equations = staticmethod(pose_normal.pose_normal_equations)
-    code_rhs = staticmethod(code.code_rhs)
-    code_normal_equations = staticmethod(code_normal.code_normal_equations)
-    code_product = staticmethod(code_normal.code_product)
-    pull_modules = staticmethod(pull.pull_modules)
-    solve_code = staticmethod(solve.solve_code)
-    solve_code_banded = staticmethod(banded.solve_code_banded)
-    render_code = staticmethod(render.render_code)
-    render_code_adjoint = staticmethod(render_adjoint.render_code_adjoint)
-    brightness_residual = staticmethod(residual.brightness_residual)
-    brightness_residual_adjoint = staticmethod(residual.brightness_residual_adjoint)
-    brightness_cost = staticmethod(cost.brightness_cost)
-    brightness_cost_adjoint = staticmethod(cost.brightness_cost_adjoint)
-
     def __init__(self) -> None:
-        self._loaded: set[KernelSet] = set()
+        super().__init__(__name__)
+        self._loaded: dict[Any, None] = {}  # kernels
 
     def devices(self) -> tuple[str, ...]:
         """Names of the devices that can be asked for: once Taichi runs, the one where it runs."""
@@ -126,7 +68,7 @@ class TaichiBackend:
 
     def clear(self, array: Any) -> None:
         """Fill an array with zeros."""
-        launch(array.fill, 0)
+        clear(array)
 
     def record(self, run: Callable[[], None]) -> Callable[[], None]:
         """Note down what ``run`` launches; the result launches it again."""
@@ -140,77 +82,35 @@ class TaichiBackend:
 
     def supports(self, op: str, dtype: DTypeLike, device: str) -> str | None:
         """None when the operation can run, otherwise the reason why not."""
-        if op not in OPS:
-            return f"no operation {op!r}"
-        dtype = np.dtype(dtype)
-        if dtype not in (np.dtype(np.float32), np.dtype(np.float64)):
-            return f"dtype {dtype} is neither float32 nor float64"
-        if device not in self.devices():
-            return f"no device {device!r}"
-        if dtype == np.float64 and not runtime.has_float64(device):
+        reason = refusal(op, dtype, device, self.devices())
+        if reason:
+            return reason
+        if np.dtype(dtype) == np.float64 and not runtime.has_float64(device):
             return (
                 f"{device} computes in float32 only, not in float64: give float32 arrays, or another device"
             )
         return None
 
-    def needs_compile(self, device: str = "cpu", kernels: KernelSet = DEFAULT_KERNELS) -> bool:
+    def tile(self, op: str, device: str) -> int:
+        """How much one thread of an operation takes together there."""
+        return variant(op, device == "cpu").tile
+
+    def needs_compile(self, device: str, calls: Calls) -> bool:
         """Whether `load` is still to be called, which takes a second even from Taichi's own cache."""
-        runtime.require(device)
-        return kernels not in self._loaded
+        return any(kernel not in self._loaded for kernel in self._kernels(device, calls))
 
-    def load(self, device: str = "cpu", kernels: KernelSet = DEFAULT_KERNELS) -> None:
-        """Compile or load kernels (float32); call it before threads start."""
-        runtime.require(device)
+    def load(self, device: str, calls: Calls) -> None:
+        """Compile or load the kernels of these calls (float32); call it before threads start."""
         with LOCK:
-            if kernels not in self._loaded:
-                for kernel in _kernels(kernels):
+            for kernel in self._kernels(device, calls):
+                if kernel not in self._loaded:
                     compile_kernel(kernel)
-                self._loaded.add(kernels)
+                    self._loaded[kernel] = None
 
-
-def _kernels(kernels: KernelSet) -> list[Any]:
-    """List the kernels that reading a code, one window at a time, launches, and those of the splats named."""
-    f32 = ti.f32
-    on_cpu = runtime.running_on() == "cpu"
-    block = CPU_BLOCK if on_cpu else GPU_BLOCK
-    return [
-        splat.make_bin_events(f32, not on_cpu, on_cpu),
-        lag.make_deposit_events(f32, not on_cpu, on_cpu),
-        lag.make_lag_rows(f32, TAPS, min(block, lag.MOST_CELLS)),
-        lag.make_lag_columns(f32, TAPS, min(block, lag.MOST_CELLS)),
-        motion.make_clip_rows(f32),
-        motion.make_correlate_rows(f32),
-        motion.make_add_rows(f32),
-        motion.make_surface_peak(f32, on_cpu),
-        images.make_measure_rows(f32),
-        images.make_limit(f32, on_cpu),
-        images.make_clip_rows(f32),
-        images.make_reduce_image(f32),
-        images.make_mix_images(f32, block),
-        templates.make_running_squares(f32, block),
-        templates.make_quiet_floor(f32, on_cpu),
-        templates.make_correlate_basis(f32, block),
-        templates.make_best_template(f32),
-        peaks.make_local_maxima(f32),
-        peaks.make_merge_maxima(f32, on_cpu),
-        peaks.make_match_corners(f32),
-        *(align.make_align_poses(f32, kernels.table_columns, alone) for alone in {False, on_cpu}),
-        code.make_sample_rows(f32),
-        code.make_fold_columns(f32, code.BLOCK),
-        pull.make_pull_modules(f32),
-        *solve.make_kernels(f32, on_cpu),
-        *(kernel for cfg in kernels.splats for kernel in _splat_kernels(cfg, on_cpu)),
-    ]
-
-
-def _splat_kernels(cfg: SplatConfig, on_cpu: bool) -> list[Any]:
-    """List the kernels of a splat and its adjoint, for one window and several, and both kinds of motion."""
-    made = [sums.make_add_partials(ti.f32)]
-    for parameters in (2, 6):
-        made.append(splat_adjoint.make_splat_events_adjoint(ti.f32, cfg, parameters))
-        for alone in {False, on_cpu}:
-            made.append(splat.make_splat_events(ti.f32, cfg, parameters, not on_cpu, alone))
-    return made
+    def _kernels(self, device: str, calls: Calls) -> list[Any]:
+        """List what calls launch."""
+        runtime.require(device)
+        return [kernel for op, given in calls for kernel in kernels_of(example(self, device, op, given))]
 
 
 def load() -> TaichiBackend:

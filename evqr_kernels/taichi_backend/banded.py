@@ -1,4 +1,4 @@
-"""Stage two's solution by the Cholesky factor of a banded matrix; see ``warp_backend/banded.py``."""
+"""The modules of a planar code by the Cholesky factor of a banded matrix; see ``warp_backend/banded.py``."""
 
 from functools import cache
 

@@ -1,4 +1,4 @@
-"""Stage two's right-hand side; the formulas are in ``warp_backend/code.py``."""
+"""Right-hand side of the equations of modules; the formulas are in ``warp_backend/code.py``."""
 
 from functools import cache
 

@@ -3,24 +3,24 @@
 from functools import cache
 
 from evqr_kernels.taichi_backend.language import (
-    GPU_BLOCK,
     array,
-    block_of,
     float_of,
     is_alone,
+    is_on_cpu,
     row_of,
     run_at,
     ti,
+    variant,
 )
 from evqr_kernels.taichi_backend.launches import launch
-from evqr_kernels.taichi_backend.residual import make_adjoint_of_row, make_slopes
+from evqr_kernels.taichi_backend.residual import FEW, make_adjoint_of_row, make_slopes
 from evqr_kernels.taichi_backend.sums import add_partials
 
 
 @cache
 def make_cost_rows(dtype):
     """Build the first pass of the cost; one thread per row, in blocks whose sums stay in registers."""
-    block = GPU_BLOCK
+    block = FEW
     slopes = make_slopes(dtype)
 
     @ti.kernel
@@ -88,7 +88,7 @@ def brightness_cost(luminance, events_image, motion, mask, rows_out, cost_out) -
 @cache
 def make_cost_adjoint_rows(dtype):
     """Build the first pass of the adjoint, all but that in the luminance; threads and blocks as forward."""
-    block = GPU_BLOCK
+    block = FEW
     slopes = make_slopes(dtype)
 
     @ti.kernel
@@ -99,7 +99,7 @@ def make_cost_adjoint_rows(dtype):
         mask: array(dtype, 3),
         adj_cost: array(dtype, 1),
         rows_out: array(dtype, 3),
-        adj_events_out: array(dtype, 3),
+        adj_events_image_out: array(dtype, 3),
     ):
         for b, y in ti.ndrange(luminance.shape[0], luminance.shape[1]):
             motion_x = motion[b, 0]
@@ -127,7 +127,7 @@ def make_cost_adjoint_rows(dtype):
                     sums_x[p] += adj[p] * dx
                     sums_y[p] += adj[p] * dy
                 for p in ti.static(range(block)):
-                    adj_events_out[0, 0, here + p] = adj[p]
+                    adj_events_image_out[0, 0, here + p] = adj[p]
             adj_x = sums_x.sum()
             adj_y = sums_y.sum()
             for k in range(width - block * blocks):  # the first pixel, and the last ones
@@ -135,7 +135,7 @@ def make_cost_adjoint_rows(dtype):
                 dx, dy = slopes(luminance, b, y, x)
                 value = motion_x * dx + motion_y * dy + events_image[b, y, x]
                 adj = factor * mask[b, y, x] * value
-                adj_events_out[b, y, x] = adj
+                adj_events_image_out[b, y, x] = adj
                 adj_x += adj * dx
                 adj_y += adj * dy
             rows_out[b, y, 0] = adj_x
@@ -160,19 +160,19 @@ def make_adjoint_in_luminance(dtype, block: int):
 
 
 def brightness_cost_adjoint(
-    luminance, events_image, motion, mask, adj_cost, rows_out, adj_luminance_out, adj_events_out,
+    luminance, events_image, motion, mask, adj_cost, rows_out, adj_luminance_out, adj_events_image_out,
     adj_motion_out,
 ) -> None:  # fmt: skip
     """Launch all passes; overwrites."""
     dtype = float_of(luminance)
     launch(
         make_cost_adjoint_rows(dtype),
-        luminance, events_image, motion, mask, adj_cost, rows_out, adj_events_out,
+        luminance, events_image, motion, mask, adj_cost, rows_out, adj_events_image_out,
     )  # fmt: skip
     launch(
-        make_adjoint_in_luminance(dtype, block_of(luminance, luminance.shape[2])),
+        make_adjoint_in_luminance(dtype, variant("brightness_cost_adjoint", is_on_cpu(luminance)).tile),
         motion,
-        adj_events_out,
+        adj_events_image_out,
         adj_luminance_out,
     )
     add_partials(rows_out, adj_motion_out)

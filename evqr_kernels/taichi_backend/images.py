@@ -2,7 +2,16 @@
 
 from functools import cache
 
-from evqr_kernels.taichi_backend.language import array, block_of, float_of, is_alone, row_of, run_at, ti
+from evqr_kernels.taichi_backend.language import (
+    array,
+    float_of,
+    is_alone,
+    is_on_cpu,
+    row_of,
+    run_at,
+    ti,
+    variant,
+)
 from evqr_kernels.taichi_backend.launches import launch
 
 
@@ -58,7 +67,7 @@ def make_clip_rows(dtype):
     return clip_rows
 
 
-def clip_outliers(image, factor: float, rows_out, limit_out, busy_out, image_out) -> None:
+def clip_outliers(image, factor: float, rows_out, limit_out, image_out, busy_out) -> None:
     """Launch the three passes; overwrites."""
     dtype = float_of(image)
     launch(make_measure_rows(dtype), image, rows_out)
@@ -133,5 +142,5 @@ def make_mix_images(dtype, block: int):
 
 def mix_images(images, weight, images_out) -> None:
     """Launch; overwrites."""
-    kernel = make_mix_images(float_of(images), block_of(images, images_out.shape[2]))
-    launch(kernel, images, weight, images_out)
+    block = variant("mix_images", is_on_cpu(images), images_out.shape[2]).tile
+    launch(make_mix_images(float_of(images), block), images, weight, images_out)

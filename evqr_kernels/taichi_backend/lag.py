@@ -2,13 +2,19 @@
 
 from functools import cache
 
-from evqr_kernels.taichi_backend.language import array, block_of, float_of, row_of, row_of_plane, run_at, ti
-from evqr_kernels.taichi_backend.launches import launch
+from evqr_kernels.taichi_backend.language import (
+    array,
+    float_of,
+    is_on_cpu,
+    row_of,
+    row_of_plane,
+    run_at,
+    ti,
+    variant,
+)
+from evqr_kernels.taichi_backend.launches import clear, launch
 from evqr_kernels.taichi_backend.splat import chunks_of, length_of_chunk, make_add, owners
 from evqr_kernels.taichi_backend.transport import make_transport
-
-MOST_CELLS = 8
-"""Neighbouring cells done together, at most: of twice as many the compiler makes no vectors."""
 
 
 @cache
@@ -158,6 +164,10 @@ def make_lag_columns(dtype, size: int, block: int):
 def lag_operator(deposit, deposit_idx, direction, lag, taps, rows_out, image_out) -> None:
     """Launch both passes; overwrites."""
     dtype, size = float_of(deposit), taps.shape[1]
-    block = min(block_of(deposit, image_out.shape[2] - size), MOST_CELLS)
+    inner = image_out.shape[2] - 2 * (size // 2)
+    if inner <= 0:
+        clear(image_out)
+        return
+    block = variant("lag_operator", is_on_cpu(deposit), inner).tile
     launch(make_lag_rows(dtype, size, block), deposit, deposit_idx, direction, lag, taps, rows_out)
     launch(make_lag_columns(dtype, size, block), rows_out, taps, image_out)

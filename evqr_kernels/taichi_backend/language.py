@@ -12,6 +12,9 @@ from contextlib import contextmanager
 
 import numpy as np
 
+from evqr_kernels.operation import Variant
+from evqr_kernels.operations import OPERATIONS
+
 
 @contextmanager
 def environment(**variables: str):
@@ -109,10 +112,6 @@ def run_at(at):
     return ti.min(at, (1 << 31) - 1 - LONGEST_RUN)
 
 
-CPU_BLOCK, GPU_BLOCK = 16, 4
-"""Neighbouring pixels that one thread does together: vector units want many, registers few."""
-
-
-def block_of(array, width: int) -> int:
-    """Choose the block for where an array lies and a width to fill, which is at least `GPU_BLOCK`."""
-    return CPU_BLOCK if is_on_cpu(array) and width >= CPU_BLOCK else GPU_BLOCK
+def variant(op: str, on_cpu: bool, width: int = LEAST_INDICES) -> Variant:
+    """Choose what an operation's kernels are built for, by device and width."""
+    return OPERATIONS[op].variant("taichi", "cpu" if on_cpu else "gpu", width=width)

@@ -16,9 +16,10 @@ LOCK = threading.RLock()
 
 
 class _Recording(threading.local):
-    """What this thread records instead of launching; None while it does not."""
+    """What this thread records, or lists, instead of launching; None while it does not."""
 
     steps: list[Callable[[], Any]] | None = None
+    kernels: list[Any] | None = None
 
 
 _recording = _Recording()
@@ -26,11 +27,20 @@ _recording = _Recording()
 
 def launch(kernel, *arguments) -> None:
     """Launch a kernel, or note the launch down while this thread records."""
+    if _recording.kernels is not None:
+        _recording.kernels.append(kernel)
+        return
     step = partial(_launch, kernel, arguments)
     if _recording.steps is None:
         step()
     else:
         _recording.steps.append(step)
+
+
+def clear(array) -> None:
+    """Fill with zeros, or note that down while this thread records."""
+    if _recording.kernels is None:
+        launch(array.fill, 0)
 
 
 def _launch(kernel, arguments) -> None:
@@ -57,6 +67,16 @@ def record(run: Callable[[], None]) -> Callable[[], None]:
             step()
 
     return replay
+
+
+def kernels_of(run: Callable[[], None]) -> list[Any]:
+    """List the kernels that ``run`` launches, launching and compiling nothing."""
+    _recording.kernels = kernels = []
+    try:
+        run()
+    finally:
+        _recording.kernels = None
+    return kernels
 
 
 def compile_kernel(kernel) -> None:

@@ -2,6 +2,7 @@
 
 from functools import cache
 
+from evqr_kernels.operations import OPERATIONS
 from evqr_kernels.taichi_backend.language import (
     array,
     float_of,
@@ -13,8 +14,8 @@ from evqr_kernels.taichi_backend.language import (
 )
 from evqr_kernels.taichi_backend.launches import launch
 
-BLOCK = 16
-"""Neighbouring shifts done together."""
+BLOCK = OPERATIONS["motion_correlation"].variant("taichi", "cpu").tile
+"""Neighbouring shifts done together, on any device."""
 
 
 @ti.func

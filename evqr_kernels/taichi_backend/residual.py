@@ -2,9 +2,12 @@
 
 from functools import cache
 
-from evqr_kernels.taichi_backend.language import GPU_BLOCK, array, block_of, float_of, row_of, run_at, ti
+from evqr_kernels.taichi_backend.language import array, float_of, is_on_cpu, row_of, run_at, ti, variant
 from evqr_kernels.taichi_backend.launches import launch
 from evqr_kernels.taichi_backend.sums import add_partials
+
+FEW = 4
+"""Neighbouring pixels of a block whose sums of two kinds a CPU too has the registers for."""
 
 
 @cache
@@ -65,8 +68,10 @@ def make_brightness_residual(dtype, block: int):
 
 def brightness_residual(luminance, events_image, motion, residual_out) -> None:
     """Launch; overwrites."""
-    kernel = make_brightness_residual(float_of(luminance), block_of(luminance, luminance.shape[2]))
-    launch(kernel, luminance, events_image, motion, residual_out)
+    block = variant("brightness_residual", is_on_cpu(luminance)).tile
+    launch(
+        make_brightness_residual(float_of(luminance), block), luminance, events_image, motion, residual_out
+    )
 
 
 @ti.func
@@ -121,7 +126,7 @@ def make_adjoint_of_row(dtype, block: int):
 @cache
 def make_brightness_residual_adjoint(dtype):
     """Build the adjoint kernel; one thread per row, in blocks whose sums a CPU too has the registers for."""
-    block = GPU_BLOCK
+    block = FEW
     slopes = make_slopes(dtype)
     adjoint_of_row = make_adjoint_of_row(dtype, block)
 

@@ -1,4 +1,4 @@
-"""Stage two's solution by conjugate gradients; the method is in ``warp_backend/solve.py``.
+"""The modules of a planar code by conjugate gradients; the method is in ``warp_backend/solve.py``.
 
 Two variants, as there: one thread solves a window in one launch on the CPU, one thread owns a row of modules
 and an iteration is two launches elsewhere.
@@ -263,18 +263,11 @@ def solve_rows(
         sums, next_sums = next_sums, sums
 
 
-def make_kernels(dtype, on_cpu: bool) -> list:
-    """Build the kernels of the variant that suits the device."""
-    return (
-        [make_solve_windows(dtype, True)]
-        if on_cpu
-        else [make_start(dtype), make_apply(dtype), make_update(dtype)]
-    )
-
-
 def solve_code(
-    rhs, stencil, damping, free, q_inout, scratch, iterations_out, *, max_iterations: int, tolerance: float
-) -> None:
+    rhs, stencil, damping, free, max_iterations: int, tolerance: float, residual_out, direction_out,
+    next_direction_out, product_out, sums_out, next_sums_out, q_inout, iterations_out,
+) -> None:  # fmt: skip
     """Launch the variant that suits the device."""
-    variant = solve_windows if is_on_cpu(rhs) else solve_rows
-    variant(rhs, stencil, damping, free, scratch, q_inout, iterations_out, max_iterations, tolerance)
+    launch_variant = solve_windows if is_on_cpu(rhs) else solve_rows
+    scratch = residual_out, direction_out, next_direction_out, product_out, sums_out, next_sums_out
+    launch_variant(rhs, stencil, damping, free, scratch, q_inout, iterations_out, max_iterations, tolerance)

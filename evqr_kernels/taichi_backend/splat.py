@@ -3,6 +3,7 @@
 from functools import cache
 
 from evqr_kernels.config import SplatConfig
+from evqr_kernels.operations.events import CHUNK
 from evqr_kernels.taichi_backend.language import (
     array,
     float_of,
@@ -15,9 +16,6 @@ from evqr_kernels.taichi_backend.language import (
 from evqr_kernels.taichi_backend.launches import launch
 from evqr_kernels.taichi_backend.transcendental import make_exp
 from evqr_kernels.taichi_backend.transport import make_middle, make_transport, make_velocity
-
-CHUNK = 64
-"""Events that one thread of a GPU takes one after another: what belongs to the window is looked up once."""
 
 
 @cache

@@ -3,9 +3,10 @@
 from functools import cache
 
 from evqr_kernels.config import SplatConfig
+from evqr_kernels.operations.events import CHUNK
 from evqr_kernels.taichi_backend.language import array, float_of, row_of, run_at, ti
 from evqr_kernels.taichi_backend.launches import launch
-from evqr_kernels.taichi_backend.splat import CHUNK, make_splat_taps
+from evqr_kernels.taichi_backend.splat import make_splat_taps
 from evqr_kernels.taichi_backend.sums import add_partials
 from evqr_kernels.taichi_backend.transport import make_middle, make_transport, make_velocity
 

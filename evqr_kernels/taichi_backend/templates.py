@@ -4,18 +4,19 @@ from functools import cache
 
 from evqr_kernels.taichi_backend.language import (
     array,
-    block_of,
     float_of,
     is_alone,
+    is_on_cpu,
     row_of,
     row_of_plane,
     run_at,
     ti,
+    variant,
 )
 from evqr_kernels.taichi_backend.launches import launch
 
 TERMS = 5
-"""Size of the basis: a finder pattern at eight angles is in it to 0.4 %."""
+"""Size of the basis: a round pattern at eight angles is in it to 0.4 %."""
 
 
 @cache
@@ -161,7 +162,10 @@ def correlate_templates(
     response_out, angle_out,
 ) -> None:  # fmt: skip
     """Launch the running sums, the floor, the correlation and the choice; overwrites."""
-    dtype, block = float_of(image), block_of(image, response_out.shape[2])
+    if 0 in response_out.shape:
+        return
+    dtype = float_of(image)
+    block = variant("correlate_templates", is_on_cpu(image), response_out.shape[2]).tile
     launch(make_running_squares(dtype, block), image, squares_out)
     launch(make_quiet_floor(dtype, is_alone(image)), squares_out, busy, spans, quiet, floor_out)
     launch(make_correlate_basis(dtype, block), image, basis, spans, squares_out, floor_out, sums_out)

@@ -1,4 +1,4 @@
-"""Gauss-Newton on poses: the whole of a level of stage one.
+"""Gauss-Newton on poses: the whole of an alignment on one level.
 
 With the moments of an image seen through a pose (``pose``), the model's table has C columns with Gram matrix
 ``gram``, of which the last two, L_u and L_v, carry the gain a = (a_u, a_v):

@@ -1,4 +1,4 @@
-"""Stage two's solution in one go: the Cholesky factor of a banded matrix.
+"""The modules of a planar code, solved for in one go: the Cholesky factor of a banded matrix.
 
 The same system as in ``solve``,
 
@@ -21,15 +21,7 @@ from functools import cache
 
 import warp as wp
 
-from evqr_kernels.warp_backend.language import launch, launch_bounds, module_of, neighbours, vector
-
-CPU_BLOCK, GPU_BLOCK = 16, 4
-"""Neighbouring entries of a row multiplied together: vector units want many, registers few."""
-
-
-def block_of(device: wp.Device) -> int:
-    """Choose the block for a device."""
-    return CPU_BLOCK if device.is_cpu else GPU_BLOCK
+from evqr_kernels.warp_backend.language import launch, launch_bounds, module_of, neighbours, variant, vector
 
 
 @cache
@@ -210,7 +202,7 @@ def make_solve_banded(dtype: type, block: int, upright: bool) -> wp.Kernel:
 
 def solve_code_banded(rhs, stencil, damping, free, band_out, q_inout) -> None:
     """Launch both passes; q is updated in place, the band is scratch."""
-    block = block_of(rhs.device)
+    block = variant("solve_code_banded", rhs.device).tile
     batch, rows, columns = rhs.shape
     upright = rows >= columns
     launch(

@@ -1,4 +1,4 @@
-"""Stage two's right-hand side.
+"""Right-hand side of the equations of modules.
 
 The model of the residual image in code coordinates is ``A q = a_u B q B'^T + a_v B' q B^T`` (rows v, columns
 u), with B the module profile sampled K times a module and B' its derivative: left of q for V modules along

@@ -1,4 +1,4 @@
-"""Normal equations of stage two: A^T A and A^T E, and the product of the first with modules.
+"""Normal equations of modules: A^T A and A^T E, and the product of the first with modules.
 
 The model ``A q = a_u B q B'^T + a_v B' q B^T`` (see ``code``) meets itself, shifted by (k, m) modules, in
 

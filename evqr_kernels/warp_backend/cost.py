@@ -17,8 +17,7 @@ from functools import cache
 
 import warp as wp
 
-from evqr_kernels.warp_backend.lag import CPU_BLOCK
-from evqr_kernels.warp_backend.language import launch, module_of, neighbours, vector
+from evqr_kernels.warp_backend.language import launch, module_of, neighbours, variant, vector
 from evqr_kernels.warp_backend.residual import (
     make_adjoint_of_row,
     make_residual_of_block,
@@ -26,10 +25,6 @@ from evqr_kernels.warp_backend.residual import (
     make_slopes,
 )
 from evqr_kernels.warp_backend.sums import add_partials
-
-CPU_ADJOINT_BLOCK = 32
-"""Pixels that the adjoint takes together: it stores between loads, which wait for each other where arrays lie
-alike in their pages of memory."""
 
 
 @cache
@@ -100,7 +95,7 @@ def make_cost_rows(dtype: type, block: int) -> wp.Kernel:
 
 def brightness_cost(luminance, events_image, motion, mask, rows_out, cost_out) -> None:
     """Launch both passes; overwrites."""
-    block = CPU_BLOCK if luminance.device.is_cpu else 1
+    block = variant("brightness_cost", luminance.device).tile
     launch(
         make_cost_rows(luminance.dtype, block),
         luminance.shape[:2],
@@ -154,7 +149,7 @@ def make_cost_adjoint_rows(dtype: type, block: int) -> wp.Kernel:
         mask_blocks: wp.array3d(dtype=vec_block),
         adj_cost: wp.array(dtype=dtype),
         rows_out: wp.array3d(dtype=dtype),
-        adj_events_out: wp.array3d(dtype=dtype),
+        adj_events_image_out: wp.array3d(dtype=dtype),
         adj_events_blocks_out: wp.array3d(dtype=vec_block),
     ):
         b, y = wp.tid()
@@ -193,7 +188,7 @@ def make_cost_adjoint_rows(dtype: type, block: int) -> wp.Kernel:
             dx, dy = slopes(luminance, b, y, x)
             residual = motion[b, 0] * dx + motion[b, 1] * dy + events_image[b, y, x]
             adj_residual = factor * mask[b, y, x] * residual
-            adj_events_out[b, y, x] = adj_residual
+            adj_events_image_out[b, y, x] = adj_residual
             adj_x += adj_residual * dx
             adj_y += adj_residual * dy
         rows_out[b, y, 0] = adj_x
@@ -223,11 +218,11 @@ def make_adjoint_in_luminance(dtype: type, block: int) -> wp.Kernel:
 
 
 def brightness_cost_adjoint(
-    luminance, events_image, motion, mask, adj_cost, rows_out, adj_luminance_out, adj_events_out,
+    luminance, events_image, motion, mask, adj_cost, rows_out, adj_luminance_out, adj_events_image_out,
     adj_motion_out,
 ) -> None:  # fmt: skip
     """Launch all passes; overwrites."""
-    block = CPU_ADJOINT_BLOCK if luminance.device.is_cpu else 1
+    block = variant("brightness_cost_adjoint", luminance.device).tile
     launch(
         make_cost_adjoint_rows(luminance.dtype, block),
         luminance.shape[:2],
@@ -235,13 +230,13 @@ def brightness_cost_adjoint(
             luminance, neighbours(luminance, block), events_image, neighbours(events_image, block), motion,
             mask, neighbours(mask, block), adj_cost,
         ],
-        outputs=[rows_out, adj_events_out, neighbours(adj_events_out, block)],
+        outputs=[rows_out, adj_events_image_out, neighbours(adj_events_image_out, block)],
         device=luminance.device,
     )  # fmt: skip
     launch(
         make_adjoint_in_luminance(luminance.dtype, block),
         luminance.shape[:2],
-        inputs=[motion, adj_events_out, neighbours(adj_events_out, block)],
+        inputs=[motion, adj_events_image_out, neighbours(adj_events_image_out, block)],
         outputs=[adj_luminance_out, neighbours(adj_luminance_out, block)],
         device=luminance.device,
     )

@@ -14,7 +14,7 @@ from functools import cache
 
 import warp as wp
 
-from evqr_kernels.warp_backend.language import launch, module_of, neighbours, vector
+from evqr_kernels.warp_backend.language import launch, module_of, neighbours, variant, vector
 
 SPAN = 16
 """Neighbouring fine pixels that a reduction adds up together."""
@@ -83,7 +83,7 @@ def make_clip_rows(dtype: type) -> wp.Kernel:
     return clip_rows
 
 
-def clip_outliers(image, factor: float, rows_out, limit_out, busy_out, image_out) -> None:
+def clip_outliers(image, factor: float, rows_out, limit_out, image_out, busy_out) -> None:
     """Launch the three passes; overwrites."""
     dtype, device = image.dtype, image.device
     rows = image.shape[:2]
@@ -158,11 +158,11 @@ def reduce_image(image, ratio: float, rows_out, image_out) -> None:
 
 
 @cache
-def make_mix_images(dtype: type) -> wp.Kernel:
+def make_mix_images(dtype: type, block: int) -> wp.Kernel:
     """Build the mixing; launch: one thread per (result, row, block of columns)."""
-    vec_block = vector(SPAN, dtype)
+    vec_block = vector(block, dtype)
 
-    @wp.kernel(module=module_of("images", dtype))
+    @wp.kernel(module=module_of(f"mix_{block}", dtype))
     def mix_images(
         blocks: wp.array3d(dtype=vec_block),
         weight: wp.array2d(dtype=dtype),
@@ -170,7 +170,7 @@ def make_mix_images(dtype: type) -> wp.Kernel:
     ):
         n, y, k = wp.tid()
         # the last block ends with the row; what it shares with the one before is written twice, alike
-        x = wp.min(SPAN * k, blocks_out.shape[2] - 1)
+        x = wp.min(block * k, blocks_out.shape[2] - 1)
         total = vec_block()
         for i in range(weight.shape[1]):
             total += weight[n, i] * blocks[i, y, x]
@@ -182,10 +182,11 @@ def make_mix_images(dtype: type) -> wp.Kernel:
 def mix_images(images, weight, images_out) -> None:
     """Launch; overwrites."""
     count, height, width = images_out.shape
+    block = variant("mix_images", images.device, width).tile
     launch(
-        make_mix_images(images.dtype),
-        (count, height, -(-width // SPAN)),
-        inputs=[neighbours(images, SPAN), weight],
-        outputs=[neighbours(images_out, SPAN)],
+        make_mix_images(images.dtype, block),
+        (count, height, -(-width // block)),
+        inputs=[neighbours(images, block), weight],
+        outputs=[neighbours(images_out, block)],
         device=images.device,
     )

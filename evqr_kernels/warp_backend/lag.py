@@ -23,17 +23,9 @@ from functools import cache
 
 import warp as wp
 
-from evqr_kernels.warp_backend.language import launch, module_of, neighbours, vector
-from evqr_kernels.warp_backend.splat import CHUNK
+from evqr_kernels.operations.events import CHUNK
+from evqr_kernels.warp_backend.language import clear, launch, module_of, neighbours, variant, vector
 from evqr_kernels.warp_backend.transport import make_transport
-
-CPU_BLOCK, GPU_BLOCK = 16, 4
-"""Neighbouring cells that one thread does together: vector units want many, registers few."""
-
-
-def block_of(device: wp.Device) -> int:
-    """Choose the block for a device."""
-    return CPU_BLOCK if device.is_cpu else GPU_BLOCK
 
 
 @cache
@@ -172,8 +164,12 @@ def lag_operator(deposit, deposit_idx, direction, lag, taps, rows_out, image_out
     """Launch both passes; overwrites."""
     dtype, device = deposit.dtype, deposit.device
     count, height, width = image_out.shape
-    block = block_of(device)
-    blocks = -(-(width - 2 * (taps.shape[1] // 2)) // block)
+    inner = width - 2 * (taps.shape[1] // 2)
+    if inner <= 0:
+        clear(image_out)
+        return
+    block = variant("lag_operator", device, inner).tile
+    blocks = -(-inner // block)
     rows = neighbours(rows_out, block)
     launch(
         make_lag_rows(dtype, block),

@@ -18,8 +18,7 @@ from functools import cache
 
 import warp as wp
 
-from evqr_kernels.warp_backend.lag import CPU_BLOCK
-from evqr_kernels.warp_backend.language import launch, module_of, neighbours, vector
+from evqr_kernels.warp_backend.language import clear, launch, module_of, neighbours, variant, vector
 from evqr_kernels.warp_backend.transport import make_transport
 
 
@@ -214,8 +213,10 @@ def lag_operator_adjoint(deposit_idx, direction, lag, taps, adj_image, rows_out,
     dtype, device = adj_image.dtype, adj_image.device
     count, _, height, width = adj_deposit_out.shape
     inner = width - 2 * (taps.shape[1] // 2)
-    # on a GPU the sums of more than one cell do not fit its registers
-    block = CPU_BLOCK if device.is_cpu and inner >= CPU_BLOCK else 1
+    if inner <= 0:
+        clear(adj_deposit_out)
+        return
+    block = variant("lag_operator_adjoint", device, inner).tile
     blocks = -(-inner // block)
     rows = neighbours(rows_out, block)
     launch(

@@ -7,13 +7,17 @@ from typing import Any
 
 import warp as wp
 
+from evqr_kernels.checks import MOST_ELEMENTS
+from evqr_kernels.operation import Variant
+from evqr_kernels.operations import OPERATIONS
 from evqr_kernels.warp_backend.replay import Recorded, replayer
 
 
 class _Recording(threading.local):
-    """What this thread records instead of launching; None while it does not."""
+    """What this thread records, or lists, instead of launching; None while it does not."""
 
     steps: list[Recorded] | None = None
+    kernels: list[wp.Kernel] | None = None
 
 
 _recording = _Recording()
@@ -21,6 +25,9 @@ _recording = _Recording()
 
 def launch(kernel: wp.Kernel, dim: Any, *, inputs: list[Any], outputs: list[Any], device: wp.Device) -> None:
     """Launch a kernel, or note the launch down while this thread records."""
+    if _recording.kernels is not None:
+        _recording.kernels.append(kernel)
+        return
     if _recording.steps is None:
         wp.launch(kernel, dim, inputs=inputs, outputs=outputs, device=device)
         return
@@ -31,6 +38,8 @@ def launch(kernel: wp.Kernel, dim: Any, *, inputs: list[Any], outputs: list[Any]
 
 def clear(array: wp.array) -> None:
     """Fill with zeros, or note that down while this thread records."""
+    if _recording.kernels is not None:
+        return
     if _recording.steps is None:
         array.zero_()
     elif array.size:
@@ -50,6 +59,31 @@ def record(run: Callable[[], None]) -> Callable[[], Any]:
     finally:
         _recording.steps = None
     return replayer(steps)
+
+
+def kernels_of(run: Callable[[], None]) -> list[wp.Kernel]:
+    """List the kernels that ``run`` launches, launching and compiling nothing."""
+    _recording.kernels = kernels = []
+    try:
+        run()
+    finally:
+        _recording.kernels = None
+    return kernels
+
+
+def variant(op: str, device: wp.Device, width: int = MOST_ELEMENTS) -> Variant:
+    """Choose what an operation's kernels are built for, by device and width."""
+    return OPERATIONS[op].variant("warp", kind_of(device), architecture_of(device), width)
+
+
+def kind_of(device: wp.Device) -> str:
+    """Name the kind of a device."""
+    return "cpu" if device.is_cpu else "cuda"
+
+
+def architecture_of(device: wp.Device) -> int:
+    """Give the architecture of a device: 90 for compute capability 9.0, 0 of a CPU."""
+    return 0 if device.is_cpu else device.arch
 
 
 CPU_FLAGS = ("-ffp-contract=fast", "-mreassociate", "-fno-signed-zeros")

@@ -18,23 +18,7 @@ from functools import cache
 
 import warp as wp
 
-from evqr_kernels.warp_backend.language import launch, launch_bounds, module_of, neighbours, vector
-
-CPU_BLOCK, GPU_BLOCK = 16, 4
-"""Neighbouring shifts, or pixels, done together: vector units want many, registers few."""
-
-CPU_ROWS, GPU_ROWS = 4, 2
-"""Rows of shifts that share each pixel of a correlation: likewise."""
-
-
-def block_of(device: wp.Device) -> int:
-    """Choose the block for a device."""
-    return CPU_BLOCK if device.is_cpu else GPU_BLOCK
-
-
-def rows_of(device: wp.Device) -> int:
-    """Choose the rows for a device."""
-    return CPU_ROWS if device.is_cpu else GPU_ROWS
+from evqr_kernels.warp_backend.language import launch, launch_bounds, module_of, neighbours, variant, vector
 
 
 @cache
@@ -170,7 +154,8 @@ def motion_correlation(
     """Launch the three passes; clips the images in place, overwrites the rest."""
     dtype, device = images_inout.dtype, images_inout.device
     batch, _, height, _ = images_inout.shape
-    block = block_of(device)
+    chosen = variant("motion_correlation", device)
+    block = chosen.tile
     blocks, row_blocks = neighbours(images_inout, block), neighbours(rows_out, block)
     launch(
         make_clip_rows(dtype, block),
@@ -180,7 +165,7 @@ def motion_correlation(
         device=device,
     )
     launch(
-        make_correlate_rows(dtype, block, rows_of(device)),
+        make_correlate_rows(dtype, block, chosen.rows),
         (batch, height),
         inputs=[images_inout, blocks, radius],
         outputs=[found_out, rows_out, row_blocks],

@@ -13,26 +13,17 @@ same sign has within ``apart`` times its size, and within ``|log|`` of the ratio
 ``match_corners``: for each peak i as the corner of a right angle, with a peak j along u and k along v, the
 triples of largest total response: (response, j, k, log modules).  What must agree, to tolerances: angles of
 legs and peaks, the two legs with each other, and the sizes; the legs' length over the mean size is the number
-of modules between finder patterns, whose logarithm lies in a given range.
+of modules between them, whose logarithm lies in a given range.
 """
 
 from functools import cache
 
 import warp as wp
 
-from evqr_kernels.warp_backend.language import launch, module_of, neighbours, vector
+from evqr_kernels.warp_backend.language import launch, module_of, neighbours, variant, vector
 
 PEAK = 5
 """Entries of a peak."""
-
-CPU_BLOCK, GPU_BLOCK = 8, 1
-"""Neighbouring entries passed over together where all of them are 0, as most are; one by one on GPUs,
-whose registers they would not fit."""
-
-
-def block_of(device: wp.Device) -> int:
-    """Choose the block for a device."""
-    return CPU_BLOCK if device.is_cpu else GPU_BLOCK
 
 
 @cache
@@ -115,7 +106,7 @@ def make_local_maxima(dtype: type, block: int) -> wp.Kernel:
 
 def local_maxima(response, angle, least: float, cell: float, size: float, turn: float, maxima_out) -> None:
     """Launch; overwrites."""
-    block = block_of(response.device)
+    block = variant("local_maxima", response.device).tile
     launch(
         make_local_maxima(response.dtype, block),
         response.shape[:2],

@@ -1,4 +1,4 @@
-"""Moments of an image seen through a pose: all that stage one needs of the data.
+"""Moments of an image seen through a pose: all that an alignment needs of the data.
 
 A pose is a homography P (row-major, 9 numbers) from code coordinates (u, v) to image pixels.  For points s
 with code coordinates ``points[s]`` and a table of C model functions known beforehand:
@@ -25,12 +25,9 @@ from evqr_kernels.warp_backend.language import (
     launch_bounds,
     module_of,
     neighbours,
+    variant,
     vector,
 )
-
-CPU_RUN, GPU_RUN = 32, 1
-"""Points that one thread of the adjoint takes one after another: a CPU looks up once what belongs to the
-pose, a GPU wants many threads."""
 
 
 @cache
@@ -208,7 +205,7 @@ def sample_moments_adjoint(image, image_idx, pose, active, points, table, adj_mo
     """Launch; accumulates.  Float atomics: on a GPU sums repeat to a tolerance, not bit for bit."""
     dtype = image.dtype
     columns = table.shape[1]
-    run = CPU_RUN if image.device.is_cpu else GPU_RUN
+    run = variant("sample_moments_adjoint", image.device).tile
     launch(
         make_sample_moments_adjoint(dtype, columns),
         (pose.shape[0], -(-points.shape[0] // run)),

@@ -1,4 +1,4 @@
-"""What stage two's damping pulls the modules to.
+"""What damping pulls modules to.
 
     expected(b, i, j) = clip(certainty (q(b, i, j) + 1), -1, 1)
     rhs(b, i, j) = seen(b, i, j) + damping(b) (1 - expected(b, i, j))

@@ -19,8 +19,7 @@ from functools import cache
 
 import warp as wp
 
-from evqr_kernels.warp_backend.lag import CPU_BLOCK
-from evqr_kernels.warp_backend.language import launch, module_of, neighbours, vector
+from evqr_kernels.warp_backend.language import launch, module_of, neighbours, variant, vector
 from evqr_kernels.warp_backend.sums import add_partials
 
 
@@ -126,7 +125,7 @@ def make_brightness_residual(dtype: type, block: int) -> wp.Kernel:
 
 def brightness_residual(luminance, events_image, motion, residual_out) -> None:
     """Launch; overwrites."""
-    block = CPU_BLOCK if luminance.device.is_cpu else 1
+    block = variant("brightness_residual", luminance.device).tile
     launch(
         make_brightness_residual(luminance.dtype, block),
         luminance.shape[:2],
@@ -244,7 +243,7 @@ def brightness_residual_adjoint(
     luminance, motion, adj_residual, rows_out, adj_luminance_out, adj_motion_out
 ) -> None:
     """Launch both passes; overwrites."""
-    block = CPU_BLOCK if luminance.device.is_cpu else 1
+    block = variant("brightness_residual_adjoint", luminance.device).tile
     launch(
         make_brightness_residual_adjoint(luminance.dtype, block),
         luminance.shape[:2],

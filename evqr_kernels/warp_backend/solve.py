@@ -1,4 +1,4 @@
-"""Stage two's solution: conjugate gradients over the free modules.
+"""The modules of a planar code, solved for: conjugate gradients over the free modules.
 
 A module meets only its near neighbours and all alike, so A^T A is a stencil S of (2 reach + 1)^2 numbers (see
 ``code``), and
@@ -329,16 +329,11 @@ def solve_rows(
         sums, next_sums = next_sums, sums
 
 
-def make_kernels(dtype: type, on_cpu: bool) -> list[wp.Kernel]:
-    """Build the kernels of the variant that suits the device."""
-    return (
-        [make_solve_windows(dtype)] if on_cpu else [make_start(dtype), make_apply(dtype), make_update(dtype)]
-    )
-
-
 def solve_code(
-    rhs, stencil, damping, free, q_inout, scratch, iterations_out, *, max_iterations: int, tolerance: float
-) -> None:
+    rhs, stencil, damping, free, max_iterations: int, tolerance: float, residual_out, direction_out,
+    next_direction_out, product_out, sums_out, next_sums_out, q_inout, iterations_out,
+) -> None:  # fmt: skip
     """Launch the variant that suits the device."""
-    variant = solve_windows if rhs.device.is_cpu else solve_rows
-    variant(rhs, stencil, damping, free, scratch, q_inout, iterations_out, max_iterations, tolerance)
+    launch_variant = solve_windows if rhs.device.is_cpu else solve_rows
+    scratch = residual_out, direction_out, next_direction_out, product_out, sums_out, next_sums_out
+    launch_variant(rhs, stencil, damping, free, scratch, q_inout, iterations_out, max_iterations, tolerance)

@@ -27,6 +27,7 @@ from functools import cache
 import warp as wp
 
 from evqr_kernels.config import SplatConfig
+from evqr_kernels.operations.events import CHUNK
 from evqr_kernels.warp_backend.language import (
     last_axis_as_vector,
     launch,
@@ -37,9 +38,6 @@ from evqr_kernels.warp_backend.language import (
 from evqr_kernels.warp_backend.splat_profile import make_splat_taps
 from evqr_kernels.warp_backend.splat_strips import holds_rows, make_add_strips, strip_columns
 from evqr_kernels.warp_backend.transport import make_lag_along, make_middle, make_transport, make_velocity
-
-CHUNK = 64
-"""Events that one thread takes one after another: what belongs to the window is looked up once."""
 
 
 @cache

@@ -17,6 +17,7 @@ from functools import cache
 import warp as wp
 
 from evqr_kernels.config import SplatConfig
+from evqr_kernels.operations.events import CHUNK
 from evqr_kernels.warp_backend.language import (
     clear,
     last_axis_as_vector,
@@ -26,7 +27,6 @@ from evqr_kernels.warp_backend.language import (
     neighbours,
     vector,
 )
-from evqr_kernels.warp_backend.splat import CHUNK
 from evqr_kernels.warp_backend.splat_profile import make_gauss_around, make_splat_tap
 from evqr_kernels.warp_backend.splat_strips import holds_rows, make_gather_strips, strip_columns
 from evqr_kernels.warp_backend.sums import add_partials

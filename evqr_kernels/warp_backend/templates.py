@@ -25,18 +25,17 @@ from functools import cache
 
 import warp as wp
 
-from evqr_kernels.warp_backend.language import last_axis_as_vector, launch, module_of, neighbours, vector
+from evqr_kernels.warp_backend.language import (
+    last_axis_as_vector,
+    launch,
+    module_of,
+    neighbours,
+    variant,
+    vector,
+)
 
 TERMS = 5
-"""Size of the basis: a finder pattern at eight angles is in it to 0.4 %."""
-
-CPU_BLOCK, GPU_BLOCK = 16, 4
-"""Neighbouring pixels of which one thread makes the responses, sharing each template load."""
-
-
-def block_of(device: wp.Device, width: int) -> int:
-    """Choose the block for a device and a width of the response, which is at least `GPU_BLOCK`."""
-    return CPU_BLOCK if device.is_cpu and width >= CPU_BLOCK else GPU_BLOCK
+"""Size of the basis: a round pattern at eight angles is in it to 0.4 %."""
 
 
 @cache
@@ -189,7 +188,9 @@ def correlate_templates(
     """Launch the running sums, the floor, the correlation and the choice; overwrites."""
     dtype, device = image.dtype, image.device
     batch, height, width = response_out.shape
-    block = block_of(device, width)
+    if not response_out.size:
+        return
+    block = variant("correlate_templates", device, width).tile
     pixels, squares = neighbours(image, block), neighbours(squares_out, block)
     launch(
         make_running_squares(dtype, block),

@@ -10,11 +10,12 @@ from steps import deposit, sharpen
 from evqr.config import AlignConfig
 from evqr.events.window import Window
 from evqr.fit.region import Region, region_around
+from evqr.launched import LAUNCHED
 from evqr.motion import Motion
 from evqr.symbol import qr
 from evqr.symbol.space import CodeSpace
 from evqr.workspace import Images, Workspace
-from evqr_kernels.backend import get_backend
+from evqr_kernels.registry import get_backend
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
@@ -59,7 +60,7 @@ class Seen:
 def workspace():
     """One for all tests: its buffers are made once."""
     backend = get_backend("warp")
-    backend.load("cpu")
+    backend.load("cpu", LAUNCHED)
     return Workspace(backend, "cpu")
 
 

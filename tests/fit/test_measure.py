@@ -54,12 +54,13 @@ def solving(step, equations, workspace):
         workspace.put(f.astype(np.float32)) for f in (lattice(25, samples), profile, slope)
     )
     n = 25 + 2 * QUIET_MODULES
-    sampled, rows = workspace.empty(1, n * samples, n * samples), workspace.empty(1, 2, n * samples, n)
+    sizes = {"S": n * samples, "T": n * samples, "samples_a_module": samples}
+    scratch = workspace.scratch("code_normal_equations", B=1, **sizes)
 
     def launch():
         workspace.backend.code_normal_equations(
             step.images.device, step.align.pose, axis, axis, profile, slope, step.align.gain, samples,
-            sampled, rows, solution._stencil.device, solution._seen.device,
+            *scratch, solution._stencil.device, solution._seen.device,
         )  # fmt: skip
         solution.launch_first()
 

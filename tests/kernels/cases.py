@@ -7,7 +7,8 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from evqr_kernels import SplatConfig
+from evqr_kernels import OPERATIONS, SplatConfig
+from evqr_kernels.operation import Output, Scratch, Written, buffers_behind, checked_name
 
 from .helpers import filled
 
@@ -22,11 +23,52 @@ class Call:
     inputs: list
     outputs: list
     tail: tuple = ()
-    options: dict = field(default_factory=dict)
-    scratch: int = 0  # so many of the first outputs are scratch
+    options: dict = field(default_factory=dict)  # of the checked function alone
+
+    @property
+    def operation(self):
+        return OPERATIONS[self.op]
+
+    @property
+    def scratch(self):
+        """So many of the first outputs are scratch."""
+        return len(self.operation.scratch)
 
     def run(self, runner):
-        return runner(self.op, self.inputs, self.outputs, *self.tail, **self.options)[self.scratch :]
+        return runner(self.op, self.inputs, self.outputs, *self.tail)[self.scratch :]
+
+    @property
+    def checked(self):
+        """Arguments of the checked function, by name."""
+        arguments, count = self.operation.arguments, len(self.inputs)
+        given = dict(
+            zip(map(checked_name, arguments), [*self.inputs, *self.outputs, *self.tail], strict=True)
+        )
+        written = {checked_name(a) for a in arguments[count:] if isinstance(a, (Output, Scratch))}
+        written -= {a.start for a in self.operation.outputs}
+        return {name: value for name, value in given.items() if name not in written} | self.options
+
+
+def call(op, inputs, *tail, start=None, **options):
+    """A call whose outputs and scratch are those of the table.
+
+    ``inputs`` are the first arguments, ``tail`` the last, ``start`` what is overwritten in place, ``options``
+    sizes and settings of the checked function alone.
+    """
+    operation = OPERATIONS[op]
+    tile = operation.variant("warp", "cpu").tile
+    buffers = buffers_behind(operation, inputs, options, tile)
+    return Call(op, inputs, [output(buffer, start) for buffer in buffers], tail, options)
+
+
+def output(buffer, start):
+    """What an output holds before: NaN or -1, something to add to, or where to start."""
+    written = getattr(buffer.array, "written", None)
+    if written is Written.IN_PLACE:
+        return start
+    if buffer.array.integer:
+        return np.full(buffer.shape, -1, np.int32)
+    return filled(buffer.shape, buffer.dtype, 0.5 if written is Written.ACCUMULATED else np.nan)
 
 
 def events(rng, dtype, count=300, margin=6.0):
@@ -55,22 +97,21 @@ def poses(rng, count, dtype):
 
 def bin_events(rng, dtype):
     x, y, _, weight, window_ptr = events(rng, dtype)
-    return Call("bin_events", [x, y, weight, window_ptr, 2.0], [filled((B, Y // 2, X // 2), dtype, 0.5)])
+    return call("bin_events", [x, y, weight, window_ptr, 2.0], shape=(Y // 2, X // 2))
 
 
 def splat_events(rng, dtype):
-    return Call("splat_events", splat_inputs(rng, dtype), [filled((B, Y, X), dtype, 0.5)], (SPLAT,))
+    return call("splat_events", splat_inputs(rng, dtype), SPLAT, shape=(Y, X))
 
 
 def splat_events_wide(rng, dtype):
     cfg = SplatConfig(epsilon_px=1.5, radius_px=4.0)
-    return Call("splat_events", splat_inputs(rng, dtype), [filled((B, Y, X), dtype, 0.5)], (cfg,))
+    return call("splat_events", splat_inputs(rng, dtype), cfg, shape=(Y, X))
 
 
 def splat_events_adjoint(rng, dtype):
     inputs = [*splat_inputs(rng, dtype), rng.normal(size=(B, Y, X)).astype(dtype)]
-    outputs = [filled((B, 5, 2), dtype), filled(300, dtype), filled((B, 2), dtype)]
-    return Call("splat_events_adjoint", inputs, outputs, (SPLAT,), scratch=1)
+    return call("splat_events_adjoint", inputs, SPLAT)
 
 
 def affine_motion(rng, dtype):
@@ -79,26 +120,25 @@ def affine_motion(rng, dtype):
 
 
 def splat_events_affine(rng, dtype):
-    call = splat_events(rng, dtype)
-    call.inputs[5] = np.hstack([call.inputs[5], affine_motion(rng, dtype)])
-    return call
+    made = splat_events(rng, dtype)
+    made.inputs[5] = np.hstack([made.inputs[5], affine_motion(rng, dtype)])
+    return made
 
 
 def splat_events_affine_adjoint(rng, dtype):
-    call = splat_events_adjoint(rng, dtype)
-    call.inputs[5] = np.hstack([call.inputs[5], affine_motion(rng, dtype)])
-    call.outputs = [filled((B, 5, 6), dtype), call.outputs[1], filled((B, 6), dtype)]
-    return call
+    inputs = splat_events_adjoint(rng, dtype).inputs
+    inputs[5] = np.hstack([inputs[5], affine_motion(rng, dtype)])
+    return call("splat_events_adjoint", inputs, SPLAT)
 
 
 def deposit_events(rng, dtype):
     *events, motion, _, frame = splat_inputs(rng, dtype)
-    return Call("deposit_events", [*events, motion, frame], [filled((B, 2, Y, X), dtype, 0.5)])
+    return call("deposit_events", [*events, motion, frame], shape=(Y, X))
 
 
 def deposit_events_adjoint(rng, dtype):
     inputs = [*deposit_events(rng, dtype).inputs, rng.normal(size=(B, 2, Y, X)).astype(dtype)]
-    return Call("deposit_events_adjoint", inputs, [filled(300, dtype)])
+    return call("deposit_events_adjoint", inputs)
 
 
 def lag_operator(rng, dtype):
@@ -108,47 +148,39 @@ def lag_operator(rng, dtype):
     lag = rng.uniform(0, 3, (3, 2)).astype(dtype)
     taps = rng.normal(size=(2, 5)).astype(dtype)
     inputs = [deposit, np.array([2, 0, 2], np.int32), direction, lag, taps]
-    return Call("lag_operator", inputs, [filled((3, 2, Y, X), dtype), filled((3, Y, X), dtype)], scratch=1)
+    return call("lag_operator", inputs)
 
 
 def lag_operator_adjoint(rng, dtype):
     inputs = [*lag_operator(rng, dtype).inputs[1:], rng.normal(size=(3, Y, X)).astype(dtype)]
-    outputs = [filled((3, 2, Y, X), dtype), filled((B, 2, Y, X), dtype)]
-    return Call("lag_operator_adjoint", inputs, outputs, scratch=1)
+    return call("lag_operator_adjoint", inputs, deposits=B)
 
 
 def motion_correlation(rng, dtype, radius=5, shape=(Y, X)):
     images = 2.0 * rng.normal(size=(B, 2, *shape)) * (rng.random((B, 2, *shape)) < 0.3)
-    shifts = 2 * radius + 1
-    rows = filled((B, shape[0], shifts, -(-shifts // 16) * 16), dtype)
-    outputs = [np.full((B, *shape), -1, np.int32), rows, filled((B, shape[0], 2), dtype)]
-    outputs += [filled((B, shifts, shifts), dtype), filled((B, 2), dtype)]
-    return Call("motion_correlation", [images.astype(dtype), 2.0, radius], outputs, scratch=3)
+    return call("motion_correlation", [images.astype(dtype), 2.0, radius])
 
 
 def surface_peak(rng, dtype, size=11):
     smoother = np.exp(-0.5 * (np.subtract.outer(np.arange(size), np.arange(size)) / 1.5) ** 2)
     surface = rng.normal(size=(B, size, size))
-    outputs = [filled((B, size, size), dtype), filled((B, size, size), dtype), filled((B, 3), dtype)]
-    return Call("surface_peak", [surface.astype(dtype), smoother.astype(dtype)], outputs, scratch=1)
+    return call("surface_peak", [surface.astype(dtype), smoother.astype(dtype)])
 
 
 def clip_outliers(rng, dtype):
     image = rng.normal(size=(B, Y, X)) ** 3 * (rng.random((B, Y, X)) < 0.5)
     image[1] = 0
-    outputs = [filled((B, Y, 2), dtype), filled(B, dtype), filled(B, dtype), filled((B, Y, X), dtype)]
-    return Call("clip_outliers", [image.astype(dtype), 1.7], outputs, scratch=2)
+    return call("clip_outliers", [image.astype(dtype), 1.7])
 
 
 def reduce_image(rng, dtype):
     image = rng.normal(size=(B, Y, X)).astype(dtype)
-    outputs = [filled((B, 19, X), dtype), filled((B, 19, 25), dtype)]
-    return Call("reduce_image", [image, 1.25], outputs, scratch=1)
+    return call("reduce_image", [image, 1.25])
 
 
 def mix_images(rng, dtype, width=X):
     images, weight = rng.normal(size=(4, Y, width)), rng.normal(size=(3, 4))
-    return Call("mix_images", [images.astype(dtype), weight.astype(dtype)], [filled((3, Y, width), dtype)])
+    return call("mix_images", [images.astype(dtype), weight.astype(dtype)])
 
 
 def correlate_templates(rng, dtype, width=24, n=5):
@@ -163,16 +195,14 @@ def correlate_templates(rng, dtype, width=24, n=5):
     mix /= np.linalg.norm(mix, axis=1, keepdims=True)
     busy = np.array([500.0, 300.0, 0.0], dtype)
     inputs = [image.astype(dtype), busy, basis.astype(dtype), mix.astype(dtype), spans]
-    outputs = [filled((B, Y + n, width + n - 1), dtype), filled(B, dtype), filled((B, 6, Y, width), dtype)]
-    outputs += [filled((B, Y, width), dtype), np.full((B, Y, width), -1, np.int32)]
-    return Call("correlate_templates", [*inputs, 0.7, 0.2], outputs, scratch=3)
+    return call("correlate_templates", [*inputs, 0.7, 0.2])
 
 
 def local_maxima(rng, dtype, most=3):
     response = rng.uniform(-1, 1, (B, Y, X)).astype(dtype)
     response[0, 5:8, 5:8] = 0.99  # a plateau: all of it counts
     angle = rng.integers(0, 8, (B, Y, X)).astype(np.int32)
-    return Call("local_maxima", [response, angle, 0.3, 2.5, 3.125, 0.2], [filled((B, Y, most, 5), dtype)])
+    return call("local_maxima", [response, angle, 0.3, 2.5, 3.125, 0.2], most=most)
 
 
 def merge_maxima(rng, dtype, count=60, keep=9):
@@ -188,8 +218,7 @@ def merge_maxima(rng, dtype, count=60, keep=9):
     )
     maxima[rng.random((B, count)) < 0.3] = 0
     maxima[1, 4:] = 0  # fewer than are kept
-    outputs = [filled((B, count), dtype), np.full((B, count), -1, np.int32), filled((B, keep, 5), dtype)]
-    return Call("merge_maxima", [maxima.astype(dtype), 2.0, 0.3], outputs, scratch=2)
+    return call("merge_maxima", [maxima.astype(dtype), 2.0, 0.3], most=keep)
 
 
 def match_corners(rng, dtype, count=12, most=3):
@@ -207,9 +236,7 @@ def match_corners(rng, dtype, count=12, most=3):
     peaks[:, :8, 3] = 4.0 * np.exp(rng.uniform(-0.05, 0.05, (B, 8)))
     peaks[:, :8, 4] = turn + rng.uniform(-0.05, 0.05, (B, 8))
     tolerances = np.array([0.2, 0.16, 0.24, np.log(14.0), np.log(170.0)])
-    outputs = [np.full((B, count, count), -1, np.int32), filled((B, count, count, 3), dtype)]
-    outputs += [filled((B, count, most, 4), dtype)]
-    return Call("match_corners", [peaks.astype(dtype), tolerances.astype(dtype)], outputs, scratch=2)
+    return call("match_corners", [peaks.astype(dtype), tolerances.astype(dtype)], most=most)
 
 
 def moment_inputs(rng, dtype, samples=700, columns=5, count=4):
@@ -223,12 +250,14 @@ def moment_inputs(rng, dtype, samples=700, columns=5, count=4):
 def sample_moments(rng, dtype):
     inputs = moment_inputs(rng, dtype)
     inputs[3][:] = 1
-    return Call("sample_moments", inputs, [filled((4, 3, 6), dtype), filled((4, 6), dtype)], scratch=1)
+    made = call("sample_moments", inputs)
+    made.outputs[0] = filled((4, 3, 6), dtype)  # any number of chunks
+    return made
 
 
 def sample_moments_adjoint(rng, dtype):
     inputs = [*moment_inputs(rng, dtype), rng.normal(size=(4, 6)).astype(dtype)]
-    return Call("sample_moments_adjoint", inputs, [filled((B, Y, X), dtype, 0.5)])
+    return call("sample_moments_adjoint", inputs)
 
 
 def code_rhs(rng, dtype, shape=WIDE, samples=3):
@@ -237,12 +266,7 @@ def code_rhs(rng, dtype, shape=WIDE, samples=3):
     image = rng.normal(size=(B, Y, X)).astype(dtype)
     gain = rng.normal(size=(B, 2)).astype(dtype)
     inputs = [image, poses(rng, B, dtype), across, down, profile, slope, gain, samples]
-    outputs = [
-        filled((B, len(down), len(across)), dtype),
-        filled((B, 2, len(down), shape[1]), dtype),
-        filled((B, *shape), dtype),
-    ]
-    return Call("code_rhs", inputs, outputs, scratch=2)
+    return call("code_rhs", inputs)
 
 
 def code_rhs_tall(rng, dtype):
@@ -254,17 +278,11 @@ def pose_normal_equations(rng, dtype, parameters=8, count=4, columns=20):
     moments = rng.normal(size=(count, columns + 1)).astype(dtype)
     terms = rng.integers(0, columns, (parameters + 2, 4)).astype(np.int32)
     factors = rng.integers(0, 4, (parameters + 2, 4)).astype(np.int32)
-    size = parameters + 2
-    outputs = [filled((count, 2), dtype), filled((count, size, size), dtype), filled((count, size), dtype)]
-    return Call("pose_normal_equations", [moments, table.T @ table, terms, factors, 1e-3], outputs)
+    return call("pose_normal_equations", [moments, table.T @ table, terms, factors, 1e-3])
 
 
 def code_normal_equations(rng, dtype, shape=WIDE, reach=2):
-    call = code_rhs(rng, dtype, shape)
-    samples, rows, rhs = call.outputs
-    side = 2 * reach + 1
-    outputs = [samples, rows, filled((B, side, side), dtype), rhs]
-    return Call("code_normal_equations", call.inputs, outputs, scratch=2)
+    return call("code_normal_equations", code_rhs(rng, dtype, shape).inputs, reach=reach)
 
 
 def code_normal_equations_tall(rng, dtype):
@@ -272,8 +290,8 @@ def code_normal_equations_tall(rng, dtype):
 
 
 def code_product(rng, dtype, shape=WIDE):
-    rhs, stencil, damping, free, start = system(rng, dtype, shape)
-    return Call("code_product", [start, stencil, damping, free], [filled(rhs.shape, dtype)])
+    _, stencil, damping, free, start = system(rng, dtype, shape)
+    return call("code_product", [start, stencil, damping, free])
 
 
 def code_product_tall(rng, dtype):
@@ -282,8 +300,7 @@ def code_product_tall(rng, dtype):
 
 def pull_modules(rng, dtype, shape=WIDE):
     seen, q = rng.normal(size=(2, B, *shape)).astype(dtype)
-    inputs = [seen, q - dtype(1.0), np.linspace(0.1, 0.5, B).astype(dtype), 2.0]
-    return Call("pull_modules", inputs, [filled(q.shape, dtype), np.full((B, shape[0]), -9, np.int32)])
+    return call("pull_modules", [seen, q - dtype(1.0), np.linspace(0.1, 0.5, B).astype(dtype), 2.0])
 
 
 def pull_modules_tall(rng, dtype):
@@ -291,9 +308,8 @@ def pull_modules_tall(rng, dtype):
 
 
 def solve_code_banded(rng, dtype, shape=WIDE):
-    rhs, stencil, damping, free, start = system(rng, dtype, shape)
-    band = filled((B, shape[0] * shape[1], 2 * (min(shape) + 1) + 1), dtype)
-    return Call("solve_code_banded", [rhs, stencil, damping, free], [band, start], scratch=1)
+    *inputs, start = system(rng, dtype, shape)
+    return call("solve_code_banded", inputs, start=start)
 
 
 def solve_code_banded_tall(rng, dtype):
@@ -316,7 +332,7 @@ def system(rng, dtype, shape=WIDE):
 def render_code(rng, dtype, parameters=6, sigma=0.0):
     grid = rng.normal(size=(B, 7, 6)).astype(dtype)
     inputs = [grid, maps(dtype, parameters), np.array([0.0, 1.0, -0.5], dtype), sigma]
-    return Call("render_code", inputs, [filled((B, Y, X), dtype)])
+    return call("render_code", inputs, shape=(Y, X))
 
 
 def render_code_smooth(rng, dtype):
@@ -346,9 +362,8 @@ def maps(dtype, parameters=6):
 
 def render_code_adjoint(rng, dtype, parameters=6, sigma=0.0):
     grid, to_grid, outside, _ = render_code(rng, dtype, parameters).inputs
-    inputs = [grid, to_grid, outside, sigma, rng.normal(size=(B, Y, X)).astype(dtype)]
-    outputs = [filled((B, Y, parameters), dtype), filled((B, 7, 6), dtype), filled((B, parameters), dtype)]
-    return Call("render_code_adjoint", inputs, outputs, scratch=1)
+    adj_image = rng.normal(size=(B, Y, X)).astype(dtype)
+    return call("render_code_adjoint", [grid, to_grid, outside, sigma, adj_image])
 
 
 def render_code_adjoint_tilted_smooth(rng, dtype):
@@ -358,34 +373,25 @@ def render_code_adjoint_tilted_smooth(rng, dtype):
 def brightness_residual(rng, dtype):
     luminance, events_image = rng.normal(size=(2, B, Y, X)).astype(dtype)
     motion = rng.normal(size=(B, 2)).astype(dtype)
-    return Call("brightness_residual", [luminance, events_image, motion], [filled((B, Y, X), dtype)])
+    return call("brightness_residual", [luminance, events_image, motion])
 
 
 def brightness_residual_adjoint(rng, dtype):
     luminance, _, motion = brightness_residual(rng, dtype).inputs
-    outputs = [filled((B, Y, 2), dtype), filled((B, Y, X), dtype), filled((B, 2), dtype)]
     inputs = [luminance, motion, rng.normal(size=(B, Y, X)).astype(dtype)]
-    return Call("brightness_residual_adjoint", inputs, outputs, scratch=1)
+    return call("brightness_residual_adjoint", inputs)
 
 
 def brightness_cost(rng, dtype):
     """Some pixels do not count, others count for more or less than one."""
     inputs = brightness_residual(rng, dtype).inputs
     mask = rng.uniform(0, 2, (B, Y, X)) * (rng.random((B, Y, X)) < 0.6)
-    return Call(
-        "brightness_cost", [*inputs, mask.astype(dtype)], [filled((B, Y), dtype), filled(B, dtype)], scratch=1
-    )
+    return call("brightness_cost", [*inputs, mask.astype(dtype)])
 
 
 def brightness_cost_adjoint(rng, dtype):
     inputs = [*brightness_cost(rng, dtype).inputs, rng.normal(size=B).astype(dtype)]
-    outputs = [
-        filled((B, Y, 2), dtype),
-        filled((B, Y, X), dtype),
-        filled((B, Y, X), dtype),
-        filled((B, 2), dtype),
-    ]
-    return Call("brightness_cost_adjoint", inputs, outputs, scratch=1)
+    return call("brightness_cost_adjoint", inputs)
 
 
 CALLS = [

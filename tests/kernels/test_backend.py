@@ -1,5 +1,6 @@
 """The registry of backends: lazy, and plain about what is wrong."""
 
+import importlib
 import logging
 import subprocess
 import sys
@@ -11,15 +12,17 @@ from backends import BACKENDS, needs
 import evqr_kernels
 from evqr_kernels import (
     BackendUnavailable,
-    KernelSet,
     SplatConfig,
-    backend,
     backend_names,
     get_backend,
+    make_scratch,
     register_backend,
+    registry,
     warp_backend,
 )
-from evqr_kernels.backend import OPS, require_device
+from evqr_kernels.call import example
+from evqr_kernels.operations import OPERATIONS
+from evqr_kernels.registry import require_device
 
 HEAVY = (
     "warp",
@@ -33,10 +36,10 @@ HEAVY = (
 
 
 @pytest.fixture
-def registry(monkeypatch):
+def own_registry(monkeypatch):
     """A registry that forgets what a test does to it."""
-    monkeypatch.setattr(backend, "_targets", dict(backend._targets))
-    monkeypatch.setattr(backend, "_loaded", dict(backend._loaded))
+    monkeypatch.setattr(registry, "_targets", dict(registry._targets))
+    monkeypatch.setattr(registry, "_loaded", dict(registry._loaded))
 
 
 def run(code, **options):
@@ -73,9 +76,9 @@ os.write(2, b"after\\n")
     assert run(code).stderr == "something else\nafter\n"
 
 
-def test_auto_is_warp_and_logged(registry, caplog):
-    backend._loaded.clear()
-    with caplog.at_level(logging.INFO, logger="evqr_kernels.backend"):
+def test_auto_is_warp_and_logged(own_registry, caplog):
+    registry._loaded.clear()
+    with caplog.at_level(logging.INFO, logger="evqr_kernels.registry"):
         assert get_backend().name == get_backend("auto").name == "warp"
     assert caplog.messages == ["backend 'auto' is 'warp'"]
 
@@ -85,7 +88,7 @@ def test_backend_is_complete_and_made_once(name):
     made = get_backend(name)
     assert made is get_backend(name)
     assert made.name == name
-    assert [op for op in OPS if not callable(getattr(made, op, None))] == []
+    assert [op for op in OPERATIONS if not callable(getattr(made, op, None))] == []
 
 
 def test_the_cpu_comes_first():
@@ -111,12 +114,12 @@ def test_arrays_on_the_cpu_are_the_same_memory(name):
             made.from_host(host[:, ::2], "cpu")
 
 
-def test_unknown_name_lists_the_known(registry):
+def test_unknown_name_lists_the_known(own_registry):
     with pytest.raises(ValueError, match="backend must be one of auto, numpy, warp, taichi, got 'cupy'"):
         get_backend("cupy")
 
 
-def test_missing_module_names_cause_and_remedy(registry):
+def test_missing_module_names_cause_and_remedy(own_registry):
     register_backend("taichi", "a_module_that_is_not_there:load")
     with pytest.raises(
         BackendUnavailable, match=r"'taichi' cannot be loaded \(ModuleNotFoundError: No module"
@@ -127,7 +130,7 @@ def test_missing_module_names_cause_and_remedy(registry):
     assert info.value.name == "a_module_that_is_not_there"
 
 
-def test_missing_dependency_names_the_extra(registry, tmp_path, monkeypatch):
+def test_missing_dependency_names_the_extra(own_registry, tmp_path, monkeypatch):
     (tmp_path / "needy_backend.py").write_text("import a_library_that_is_not_there\n")
     monkeypatch.syspath_prepend(str(tmp_path))
     register_backend("taichi", "needy_backend:load")
@@ -136,7 +139,7 @@ def test_missing_dependency_names_the_extra(registry, tmp_path, monkeypatch):
 
 
 @pytest.mark.parametrize("attribute", ["nothing", "__doc__"])
-def test_a_target_that_is_nothing_to_call_is_named(registry, attribute):
+def test_a_target_that_is_nothing_to_call_is_named(own_registry, attribute):
     target = f"evqr_kernels.numpy_backend:{attribute}"
     register_backend("other", target)
     with pytest.raises(
@@ -160,14 +163,14 @@ print(get_backend("on_top").name)
     assert run(code, timeout=30).stdout == "numpy\n"
 
 
-def test_a_named_backend_never_falls_back(registry):
+def test_a_named_backend_never_falls_back(own_registry):
     register_backend("warp", "a_module_that_is_not_there:load")
     for name in ("warp", "auto"):
         with pytest.raises(BackendUnavailable):
             get_backend(name)
 
 
-def test_registered_backend_is_loaded_when_asked_for(registry):
+def test_registered_backend_is_loaded_when_asked_for(own_registry):
     register_backend("other", "evqr_kernels.numpy_backend:NumpyBackend")
     assert "other" in evqr_kernels.backend_names()
     assert get_backend("other") is get_backend("other")
@@ -175,12 +178,12 @@ def test_registered_backend_is_loaded_when_asked_for(registry):
 
 
 @pytest.mark.parametrize("target", ["module", "module:", ":attribute", ""])
-def test_bad_target(registry, target):
+def test_bad_target(own_registry, target):
     with pytest.raises(ValueError, match="target must be 'module:attribute', got"):
         register_backend("other", target)
 
 
-def test_auto_cannot_be_registered(registry):
+def test_auto_cannot_be_registered(own_registry):
     with pytest.raises(ValueError, match="name must not be 'auto'"):
         register_backend("auto", "module:attribute")
 
@@ -201,40 +204,77 @@ def test_an_absent_device_is_refused(name):
     for call in (
         lambda: made.empty((1,), np.float32, "cuda:99"),
         lambda: made.from_host(np.zeros(1, np.float32), "cuda:99"),
-        lambda: made.load("cuda:99"),
+        lambda: made.load("cuda:99", []),
     ):
         with pytest.raises(ValueError, match="got 'cuda:99'"):
             call()
 
 
+SPLATS = [
+    (op, {"cfg": SplatConfig(epsilon_px=0.5, radius_px=1.0), "P": parameters})
+    for op in ("splat_events", "splat_events_adjoint")
+    for parameters in (2, 6)
+]
+
+
 @pytest.mark.parametrize("name", BACKENDS)
-def test_nothing_is_left_to_compile_after_loading(name):
+@pytest.mark.parametrize(
+    "calls", [[("bin_events", {}), ("lag_operator", {"K": 5, "X": 640})], SPLATS], ids=["images", "splats"]
+)
+def test_nothing_is_left_to_compile_after_loading(name, calls):
     made = get_backend(name)
     device = made.devices()[0]
-    made.load(device)
-    assert not made.needs_compile(device)
+    made.load(device, calls)
+    assert not made.needs_compile(device, calls)
 
 
-def test_splats_are_loaded_by_name(monkeypatch):
-    """Theirs, and their adjoints', are the modules that are loaded beside those of reading a code."""
-    made, cfg = get_backend("warp"), SplatConfig(epsilon_px=0.71)
-    loaded = []
-    monkeypatch.setattr(warp_backend.wp, "load_module", lambda module, device: loaded.append(module))
-    made.load("cpu")
-    always = set(loaded)
-    made.load("cpu", KernelSet(splats=(cfg,)))
-    modules = {kernel.module for kernel in warp_backend.splat_kernels(cfg, warp_backend.wp.get_device("cpu"))}
-    assert sum("splat" in module.name for module in modules) == 4
-    assert modules <= set(loaded) and not {m for m in modules if "splat" in m.name} & always
+def test_what_is_loaded_is_what_is_launched(monkeypatch):
+    """The modules of a call are those of its kernels, whatever its sizes choose."""
+    made, loaded = get_backend("warp"), []
+    monkeypatch.setattr(warp_backend.wp, "load_module", lambda module, device: loaded.append(module.name))
+    made.load("cpu", [])
+    assert loaded == []
+    made.load("cpu", [("lag_operator", {"X": 640})])
+    assert {"evqr_kernels_lag_16_float32", "evqr_kernels_replay"} & set(loaded) >= {
+        "evqr_kernels_lag_16_float32"
+    }
+    loaded.clear()
+    made.load("cpu", [("lag_operator", {"X": 12, "K": 3})])
+    assert "evqr_kernels_lag_4_float32" in loaded
+    loaded.clear()
+    made.load("cpu", SPLATS)
+    assert sum("splat" in name for name in loaded) == 4
 
 
-@pytest.mark.parametrize("name", BACKENDS[1:])
-def test_nothing_is_compiled_for_a_splat_after_loading(name):
-    kernels = KernelSet(splats=(SplatConfig(epsilon_px=0.5, radius_px=1.0),))
+@pytest.mark.parametrize("name", BACKENDS)
+@pytest.mark.parametrize("op", OPERATIONS)
+def test_any_operation_can_be_loaded_without_a_word_on_its_sizes(name, op):
+    """Nothing is compiled here."""
     made = get_backend(name)
-    device = made.devices()[0]
-    made.load(device, kernels)
-    assert not made.needs_compile(device, kernels)
+    if name == "numpy":
+        made.load("cpu", [(op, {})])
+        return
+    package = importlib.import_module(f"evqr_kernels.{name}_backend")
+    made.needs_compile(made.devices()[0], [(op, {})])
+    assert package.kernels_of(example(made, made.devices()[0], op, {}))
+
+
+def test_a_call_of_no_operation_is_refused():
+    with pytest.raises(ValueError, match="op must be the name of an operation, got 'sort'"):
+        get_backend("warp").load("cpu", [("sort", {})])
+    with pytest.raises(ValueError, match="op must be the name of an operation, got 'sort'"):
+        make_scratch(get_backend("warp"), "cpu", "sort")
+    with pytest.raises(AttributeError, match="WarpBackend has no 'sort', which is no operation"):
+        get_backend("warp").sort()
+
+
+def test_scratch_is_of_the_backends_tile():
+    made = get_backend("numpy")
+    found, rows, energies = make_scratch(made, "cpu", "motion_correlation", B=2, Y=7, X=9, radius=3)
+    assert (found.shape, rows.shape, energies.shape) == ((2, 7, 9), (2, 7, 7, 16), (2, 7, 2))
+    assert (found.dtype, rows.dtype) == (np.int32, np.float32)
+    with pytest.raises(TypeError, match="radius must be given: rows_out of motion_correlation depends on it"):
+        make_scratch(made, "cpu", "motion_correlation", B=2, Y=7, X=9)
 
 
 def test_an_empty_cache_needs_compiling(tmp_path):
@@ -243,6 +283,6 @@ def test_an_empty_cache_needs_compiling(tmp_path):
 import warp as wp
 wp.config.kernel_cache_dir = {str(tmp_path)!r}
 from evqr_kernels import get_backend
-print(get_backend("warp").needs_compile())
+print(get_backend("warp").needs_compile("cpu", [("bin_events", {{}})]))
 """
     assert run(code).stdout.strip() == "True"

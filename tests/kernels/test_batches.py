@@ -6,47 +6,44 @@ import numpy as np
 import pytest
 
 import evqr_kernels
-from evqr_kernels import checks
+from evqr_kernels import OPERATIONS, checks
 
 from . import cases
 from .helpers import TOLERANCE, assert_close, filled
 from .test_align import SIDES, centre_of, scene, starts
 
-SUMMED = {
-    "sample_moments_adjoint": ((1, 2, 3, 6), ()),
-    "lag_operator_adjoint": ((0, 1, 2, 4), (0,)),
-}
-"""Operations whose outputs add up over the poses or images that look at one and the same: which inputs and
-outputs have a row for each of these."""
-
-ATOMIC = {"bin_events", "splat_events", "deposit_events", "sample_moments_adjoint"}
+ATOMIC = {op for op, operation in OPERATIONS.items() if operation.accumulates}
 """Operations that add up in no certain order on a GPU."""
 
 ATOMIC_ON_CPU = {("taichi", "sample_moments_adjoint")}
 """Likewise on a CPU: Taichi shares poses out among threads, and some look at one image."""
 
-EVENT_COLUMNS = {"bin_events": 3, "splat_events": 4, "splat_events_adjoint": 4, "deposit_events": 4}
-EVENT_COLUMNS["deposit_events_adjoint"] = 4
 
-SHARED = {
-    "correlate_templates": (2, 3, 4),
-    "mix_images": (0,),
-    "surface_peak": (1,),
-    "match_corners": (1,),
-    "lag_operator": (0, 4),
-    "sample_moments": (0, 4, 5),
-    "pose_normal_equations": (1, 2, 3),
-    "code_rhs": (2, 3, 4, 5),
-    "code_normal_equations": (2, 3, 4, 5),
-    "code_product": (3,),
-    "solve_code_banded": (3,),
-}
-"""Which inputs are one for all windows."""
+def rows_of(arrays, letter):
+    """Which arrays have a row for each of what a letter counts."""
+    return [k for k, array in enumerate(arrays) if letter in array.shape[:1]]
+
+
+def is_summed(operation):
+    """Whether its outputs add up over what looks at one and the same window."""
+    return any(array.index == operation.outputs[-1].shape[0] for array in operation.inputs)
+
+
+def columns_of_events(operation):
+    """How many columns of events stand before ``window_ptr``; 0 if there is none."""
+    return next((k for k, array in enumerate(operation.inputs) if array.ascending), 0)
+
+
+def shared(operation):
+    """Which arguments are one for all windows."""
+    windows = "B" if columns_of_events(operation) else operation.outputs[-1].shape[0]
+    arrays = [getattr(argument, "shape", ()) for argument in operation.arguments]
+    return [k for k, shape in enumerate(arrays) if shape and shape[0] not in (windows, "E", "B + 1")]
+
 
 ALL = [*cases.CALLS, cases.solve_code_banded, cases.solve_code_banded_tall]
-WINDOWED = [make for make in ALL if make(np.random.default_rng(0), np.float32).op not in SUMMED]
-
-SUMS = [make for make in ALL if make(np.random.default_rng(0), np.float32).op in SUMMED]
+SUMS = [make for make in ALL if is_summed(make(np.random.default_rng(0), np.float32).operation)]
+WINDOWED = [make for make in ALL if make not in SUMS]
 
 every_operation = pytest.mark.parametrize("make", ALL, ids=lambda make: make.__name__)
 every_windowed = pytest.mark.parametrize("make", WINDOWED, ids=lambda make: make.__name__)
@@ -72,19 +69,19 @@ def gathered(array, windows, ptr):
 
 def of_windows(call, windows):
     """Make the call with these of its windows, in this order; and take them from the results of the call."""
-    columns = EVENT_COLUMNS.get(call.op, 0)
+    columns = columns_of_events(call.operation)
     ptr = call.inputs[columns] if columns else None
     windows = np.asarray(windows)
     inputs = []
     for k, argument in enumerate(call.inputs):
         if columns and k == columns:
             inputs.append(np.r_[0, np.cumsum(np.diff(ptr)[windows])].astype(np.int32))
-        elif isinstance(argument, np.ndarray) and k not in SHARED.get(call.op, ()):
+        elif isinstance(argument, np.ndarray) and k not in shared(call.operation):
             inputs.append(gathered(argument, windows, ptr))
         else:
             inputs.append(argument)
     outputs = [gathered(output, windows, ptr) for output in call.outputs]
-    part = cases.Call(call.op, inputs, outputs, call.tail, call.options, call.scratch)
+    part = cases.Call(call.op, inputs, outputs, call.tail, call.options)
     return part, lambda results: [gathered(result, windows, ptr) for result in results]
 
 
@@ -111,7 +108,7 @@ def test_any_windows_give_what_they_give_in_the_batch(make, windows, placed, dty
 @every_windowed
 def test_batch_of_512(make, placed, dtype):
     call = made(make, dtype)
-    windows = np.arange(512) % windows_in(call) if call.op not in EVENT_COLUMNS else np.arange(512) % cases.B
+    windows = np.arange(512) % (cases.B if columns_of_events(call.operation) else windows_in(call))
     part, take = of_windows(call, windows)
     assert_same(call.op, placed, part.run(placed), take(call.run(placed)))
 
@@ -138,21 +135,23 @@ def test_windows_on_threads(make, placed, dtype):
 
 def of_rows(call, rows):
     """Make the call with these of the poses or images that it adds up over, in this order."""
+    arguments, counted = call.operation.arguments, "N"
+    ours, theirs = arguments[: len(call.inputs)], arguments[len(call.inputs) :]
     inputs, outputs = (
-        [array[rows] if k in taken else array for k, array in enumerate(arrays)]
-        for taken, arrays in zip(SUMMED[call.op], (call.inputs, call.outputs), strict=True)
+        [array[rows] if k in rows_of(arrays, counted) else array for k, array in enumerate(values)]
+        for arrays, values in ((ours, call.inputs), (theirs, call.outputs))
     )
-    return cases.Call(call.op, inputs, outputs, call.tail, call.options, call.scratch)
+    return cases.Call(call.op, inputs, outputs, call.tail, call.options)
 
 
 def sums_of(call, placed):
     """Give what a call adds to its output, which may not be empty before."""
     (result,) = call.run(placed)
-    return result - (call.outputs[-1] if call.op == "sample_moments_adjoint" else 0)
+    return result - (call.outputs[-1] if call.operation.accumulates else 0)
 
 
 def rows_in(call):
-    return len(call.inputs[SUMMED[call.op][0][0]])
+    return len(call.inputs[rows_of(call.operation.inputs, "N")[0]])
 
 
 @every_sum

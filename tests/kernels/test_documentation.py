@@ -1,5 +1,6 @@
 """The documentation of the operations: complete, and true where the code tells."""
 
+import dataclasses
 import importlib
 import inspect
 import re
@@ -8,14 +9,13 @@ from dataclasses import dataclass
 import pytest
 
 import evqr_kernels
-from evqr_kernels import SplatConfig, differentiable, ops
+from evqr_kernels import OPERATIONS, backend, differentiable, interop, operation, ops, registry
 
 from .test_batches import ATOMIC
 
-SECTIONS = ("Parameters", "Returns", "Raises", "See Also", "Notes")
+SECTIONS = ("Parameters", "Attributes", "Returns", "Yields", "Raises", "See Also", "Notes")
 ARRAY = re.compile(r"\(.+\) (float \[.+\]|int32)")
 SCALAR = {"float": re.compile(r"float \[.+\]"), "int": re.compile(r"int( \[.+\])?")}
-CHECKED = re.compile(r'checks\.(?:at_least|index)\("(\w+)"')
 
 
 @dataclass
@@ -77,6 +77,12 @@ def result_faults(function, doc):
     ]
 
 
+def refused(of):
+    """Settings and inputs whose values are looked at."""
+    checked = [setting for setting in of.settings if setting.least is not None]
+    return [argument.name for argument in (*checked, *(array for array in of.inputs if array.index))]
+
+
 def faults(function, doc):
     """What is missing in the documentation of an operation, or wrong."""
     found = parameter_faults(function, doc) + result_faults(function, doc)
@@ -84,7 +90,7 @@ def faults(function, doc):
     if not raised.keys() & {"ValueError", "TypeError"}:
         found.append("no errors")
     refusals = " ".join(entry.text for entry in raised.values())
-    for name in CHECKED.findall(inspect.getsource(function)):
+    for name in refused(OPERATIONS[function.__name__]):
         if not re.search(rf"\b{name}\b", refusals):
             found.append(f"{name}: checked, and not among the errors")
     notes = sections(doc).get("Notes", "")
@@ -125,13 +131,6 @@ def test_faults_are_found(old, new, fault):
     assert any(fault in found for found in faults(ops.bin_events, doc.replace(old, new)))
 
 
-def rule_of(op):
-    """What the frameworks are told of an operation, with some settings."""
-    rule = getattr(differentiable, op)
-    settings = {"shape": (2, 3), "cfg": SplatConfig(), "sigma": 0.0}
-    return rule(**{name: settings[name] for name in inspect.signature(rule).parameters})
-
-
 @pytest.mark.parametrize("framework", ["torch", "jax"])
 def test_functions_of_a_framework(framework):
     """They say what differs: the rest is said of the operation of the same name."""
@@ -146,7 +145,95 @@ def test_functions_of_a_framework(framework):
         assert {name for name, entry in documented.items() if entry.text == "As there."} <= there
         assert all(ARRAY.fullmatch(entry.kind) for entry in entries(doc, "Returns").values())
         differentiable_in = re.search(r"Differentiable in (.*)", sections(doc)["Returns"])[1].split(";")[0]
-        rule = rule_of(op)
-        assert set(re.findall(r"``(\w+)``", differentiable_in)) == {*rule.varied, rule.added} - {None}
+        rule = differentiable.Rule(op, ())
+        assert set(re.findall(r"``(\w+)``", differentiable_in)) == {*rule.varied, *rule.added}
         (adjoint,) = re.findall(r"`evqr_kernels\.(\w+)`", sections(doc)["Notes"])
         assert adjoint in ops.__all__
+
+
+CLASSES = [
+    evqr_kernels.KernelBackend,
+    differentiable.Rule,
+    *(kind for _, kind in inspect.getmembers(operation, inspect.isclass) if dataclasses.is_dataclass(kind)),
+]
+FUNCTIONS = [
+    *(getattr(evqr_kernels, name) for name in evqr_kernels.__all__ if name not in ops.__all__),
+    registry.require_device,
+    interop.host_view,
+    interop.warp_view,
+    *(getattr(backend.KernelBackend, name) for name in vars(backend.KernelBackend) if name[0] != "_"),
+]
+FUNCTIONS = [function for function in FUNCTIONS if inspect.isfunction(function)]
+RAISES = ("empty", "from_host", "needs_compile", "load")  # of a protocol there is no code that tells
+
+
+def entry_faults(doc, section, names):
+    """What is missing or too much in a section that describes names, each with a kind and a sentence."""
+    found = entries(doc, section)
+    faults = [f"{name}: not in {section}" for name in names if name not in found]
+    faults += [f"{name}: in {section}, and not there" for name in found if name not in names]
+    return faults + [
+        f"{name}: without a kind or a sentence" for name, e in found.items() if not e.kind or not e.text
+    ]
+
+
+def function_faults(function, doc):
+    """As of operations, for whatever else is public."""
+    signature = inspect.signature(function)
+    names = [name.lstrip("*") for name in signature.parameters if name not in ("self",)]
+    documented = doc.replace("**sizes", "sizes")
+    found = entry_faults(documented, "Parameters", names)
+    returned = entries(doc, "Returns")
+    if (str(signature.return_annotation) == "None") == bool(returned):
+        found.append("what it returns")
+    found += [
+        f"{name}: without a kind or a sentence" for name, e in returned.items() if not e.kind or not e.text
+    ]
+    raises = "raise " in inspect.getsource(function) or function.__name__ in RAISES
+    if raises and not entries(doc, "Raises"):
+        found.append("no errors")
+    return found
+
+
+@pytest.mark.parametrize("function", FUNCTIONS, ids=lambda function: function.__qualname__)
+def test_function(function):
+    assert not function_faults(function, inspect.getdoc(function))
+
+
+@pytest.mark.parametrize("kind", CLASSES, ids=lambda kind: kind.__name__)
+def test_class(kind):
+    """Its fields are its attributes, in their order, and public methods say what they do."""
+    if dataclasses.is_dataclass(kind):
+        inherited = {f.name for base in kind.__mro__[1:-1] for f in dataclasses.fields(base)}
+        names = [field.name for field in dataclasses.fields(kind) if field.name not in inherited]
+        assert list(entries(inspect.getdoc(kind), "Attributes")) == names
+    else:
+        names = list(kind.__annotations__)
+    assert not entry_faults(inspect.getdoc(kind), "Attributes", names)
+    methods = [value for name, value in vars(kind).items() if name[0] != "_" and inspect.isroutine(value)]
+    assert all(inspect.getdoc(method) for method in methods)
+
+
+def test_every_public_name_is_documented():
+    """Operations, functions and classes are looked at above; what is left are errors and the table."""
+    known = {function.__name__ for function in FUNCTIONS} | {kind.__name__ for kind in CLASSES}
+    rest = set(evqr_kernels.__all__) - known - set(ops.__all__) - {"OPERATIONS"}
+    assert all(issubclass(getattr(evqr_kernels, name), evqr_kernels.KernelError) for name in rest)
+    assert all(getattr(evqr_kernels, name).__doc__ for name in rest)
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "fault"),
+    [
+        ("    op : str", "    operation : str", "op: not in Parameters"),
+        ("    op : str", "    operation : str", "operation: in Parameters, and not there"),
+        ("op : str", "op", "op: without a kind"),
+        ("Returns\n", "Results\n", "what it returns"),
+        ("Raises\n", "Raised\n", "no errors"),
+    ],
+)
+def test_faults_of_functions_are_found(old, new, fault):
+    doc = evqr_kernels.make_scratch.__doc__
+    assert old in doc
+    faults = function_faults(evqr_kernels.make_scratch, inspect.cleandoc(doc.replace(old, new)))
+    assert any(fault in found for found in faults)

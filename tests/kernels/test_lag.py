@@ -98,7 +98,7 @@ def test_a_lag_is_undone():
     assert np.abs(undone - wanted)[4:-4].max() < 0.03 < 0.2 < np.abs(smeared - wanted)[4:-4].max()
 
 
-@pytest.mark.parametrize("width", [21, 22, 36, 37, 53])
+@pytest.mark.parametrize("width", [1, 2, 4, 5, 8, 9, 19, 20, 21, 22, 36, 37, 53])
 @pytest.mark.parametrize("height", [1, 4, 5, 9])
 def test_any_size(width, height, placed, spec, dtype, rng):
     call = cases.lag_operator(rng, dtype)

@@ -44,7 +44,7 @@ def test_weights_of_no_events(placed, dtype, rng):
     assert back.run(placed)[0].shape == (0,)
 
 
-@pytest.mark.parametrize("width", [21, 36, 37])
+@pytest.mark.parametrize("width", [5, 8, 20, 21, 36, 37])
 @pytest.mark.parametrize("height", [5, 6, 23])
 def test_operator_in_the_deposit(height, width, placed, dtype, rng):
     """Taps without symmetry, two images of one deposit, one deposit of no image; the border counts too."""
@@ -71,4 +71,8 @@ def test_images_that_are_all_border(height, placed, dtype, rng):
     back = cases.lag_operator_adjoint(rng, dtype)
     back.inputs[4] = back.inputs[4][:, :height].copy()
     back.outputs = [output[:, :, :height].copy() for output in back.outputs]
+    np.testing.assert_array_equal(back.run(placed)[0], 0)
+    back = cases.lag_operator_adjoint(rng, dtype)
+    back.inputs[4] = back.inputs[4][:, :, :height].copy()
+    back.outputs = [output[..., :height].copy() for output in back.outputs]
     np.testing.assert_array_equal(back.run(placed)[0], 0)

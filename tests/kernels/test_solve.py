@@ -19,14 +19,15 @@ def solve(runner, system, *, max_iterations=200, tolerance=0.0, op="solve_code")
     backend, device, dtype = runner.backend, runner.device, rhs.dtype
     q = backend.from_host(start.copy(), device)
     iterations = backend.from_host(np.full(len(rhs), -1, np.int32), device)
-    scratch = [filled(rhs.shape, dtype) for _ in range(4)] + [filled((len(rhs), 4, rhs.shape[1]), dtype)] * 2
+    scratch = [filled(rhs.shape, dtype) for _ in range(4)]
+    scratch += [filled((len(rhs), 4, rhs.shape[1]), dtype) for _ in range(2)]
     getattr(backend, op)(
         *(backend.from_host(array.copy(), device) for array in (rhs, stencil, damping, free)),
+        max_iterations,
+        tolerance,
+        *(backend.from_host(array, device) for array in scratch),
         q,
-        tuple(backend.from_host(array.copy(), device) for array in scratch),
         iterations,
-        max_iterations=max_iterations,
-        tolerance=tolerance,
     )
     backend.synchronize(device)
     return np.array(backend.to_host(q)), np.array(backend.to_host(iterations))
@@ -103,7 +104,8 @@ def test_variant_for_gpus_equals_the_specification(tolerance, shape, placed, spe
         )
 
         @staticmethod
-        def solve_code(rhs, stencil, damping, free, q, scratch, iterations, *, max_iterations, tolerance):
+        def solve_code(rhs, stencil, damping, free, max_iterations, tolerance, *outputs):
+            *scratch, q, iterations = outputs
             arguments = (rhs, stencil, damping, free, scratch, q, iterations)
             variants.solve_rows(*arguments, max_iterations, tolerance)
 

@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 from backends import needs
 
-from evqr_kernels import KernelSet, SplatConfig, bin_events, get_backend
+from evqr_kernels import SplatConfig, bin_events, get_backend
 
 pytestmark = needs("taichi")
 runtime = pytest.importorskip("evqr_kernels.taichi_backend.runtime", exc_type=ImportError)
@@ -34,18 +34,19 @@ def run(code, **variables):
 
 def test_splats_are_loaded_by_name(monkeypatch):
     made, cfg, compiled = get_backend("taichi"), SplatConfig(epsilon_px=0.71), []
-    monkeypatch.setattr(made, "_loaded", set())
+    monkeypatch.setattr(made, "_loaded", {})
     monkeypatch.setattr(taichi_backend, "compile_kernel", compiled.append)
     device = made.devices()[0]
-    made.load(device)
-    always = list(compiled)
-    made.load(device, KernelSet(splats=(cfg,)))
     on_cpu = device == "cpu"
     for parameters in (2, 6):
+        given = {"cfg": cfg, "P": parameters}
+        made.load(device, [("splat_events", given), ("splat_events_adjoint", given)])
         kernel = splat.make_splat_events(ti.f32, cfg, parameters, not on_cpu, on_cpu)
         adjoint = splat_adjoint.make_splat_events_adjoint(ti.f32, cfg, parameters)
         assert kernel in compiled and adjoint in compiled
-        assert kernel not in always and adjoint not in always
+    many = len(compiled)
+    made.load(device, [("splat_events", given)])
+    assert len(compiled) == many
 
 
 @cache
@@ -111,7 +112,7 @@ def test_a_runtime_on_another_device_is_refused(vulkan):
 ti.init(arch=ti.vulkan, log_level=ti.ERROR)
 backend = get_backend("taichi")
 assert backend.devices() == ("vulkan",)
-for refused in (lambda: backend.load("cpu"), lambda: backend.empty((1,), np.float32, "cpu")):
+for refused in (lambda: backend.load("cpu", []), lambda: backend.empty((1,), np.float32, "cpu")):
     try:
         refused()
     except ValueError as error:
@@ -127,7 +128,7 @@ print(count("vulkan"))
 def test_a_device_that_the_machine_lacks_is_refused():
     code = """
 try:
-    get_backend("taichi").load("cuda:7")
+    get_backend("taichi").load("cuda:7", [])
 except ValueError as error:
     print(error)
 assert ti.cfg is None

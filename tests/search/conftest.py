@@ -2,13 +2,14 @@
 
 import pytest
 
+from evqr.launched import LAUNCHED
 from evqr.workspace import Workspace
-from evqr_kernels.backend import get_backend
+from evqr_kernels.registry import get_backend
 
 
 @pytest.fixture(scope="session")
 def workspace():
     """One for all tests: its buffers are made once."""
     backend = get_backend("warp")
-    backend.load("cpu")
+    backend.load("cpu", LAUNCHED)
     return Workspace(backend, "cpu")

@@ -30,7 +30,7 @@ from numpy.typing import NDArray
 
 from evqr.events.window import Window
 from evqr.paper.methods.method import Outcome, Watch
-from evqr_kernels.backend import get_backend
+from evqr_kernels.registry import get_backend
 
 BUSY_SHARE = 0.01
 """Share of the events that may lie outside of the part of the view on either side."""

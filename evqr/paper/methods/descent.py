@@ -371,6 +371,12 @@ class Problem:
     def _buffer(self, name: str, shape: tuple[int, ...] | None = None) -> Any:
         return self._workspace.buffer(f"descent {name}", shape or self._shape, self._dtype)
 
+    def _scratch(self, op: str, **sizes: int) -> list[Any]:
+        sizes |= {"B": 1, "Y": self._shape[1]}
+        key = ("descent", op, self._dtype, *sizes.items())
+        workspace = self._workspace
+        return workspace.once(key, lambda: workspace.scratch(op, self._dtype, **sizes))
+
     def pose_of(self, affine: NDArray[np.float64]) -> NDArray[np.float64]:
         """Code coordinates to px, (3, 3), of a map W."""
         from_px = np.eye(3)
@@ -471,12 +477,12 @@ class Problem:
         self, residual: NDArray[Any], motion: NDArray[np.float64]
     ) -> tuple[NDArray[np.float64], Any]:
         adj_motion, adj_luminance = self._buffer("adj motion", (1, 2)), self._buffer("adj luminance")
-        rows = self._buffer("motion rows", (1, self._shape[1], 2))
+        rows = self._scratch("brightness_residual_adjoint")
         self._workspace.backend.brightness_residual_adjoint(
             self._luminance,
             self._put(motion[None]),
             self._put(residual[None]),
-            rows,
+            *rows,
             adj_luminance,
             adj_motion,
         )
@@ -487,14 +493,14 @@ class Problem:
     ) -> tuple[NDArray[Any], NDArray[np.float64]]:
         adj_grid = self._buffer("adj grid", (1, *self.free.shape))
         adj_affine = self._buffer("adj affine", (1, 6))
-        rows = self._buffer("affine rows", (1, self._shape[1], 6))
+        rows = self._scratch("render_code_adjoint", P=6)
         self._workspace.backend.render_code_adjoint(
             grid,
             self._put(self._grid_from_image(affine)),
             self._light,
             BILINEAR,
             adj_luminance,
-            rows,
+            *rows,
             adj_grid,
             adj_affine,
         )

@@ -35,11 +35,12 @@ from numpy.typing import NDArray
 from evqr.clock import StageClock
 from evqr.config import MotionConfig
 from evqr.events.window import Window
+from evqr.launched import LAUNCHED
 from evqr.motion import Motion
 from evqr.paper.methods.method import Outcome, Watch
 from evqr.search.motion_estimate import MotionEstimate, estimate_motion
 from evqr.workspace import Workspace
-from evqr_kernels.backend import get_backend
+from evqr_kernels.registry import get_backend
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -89,7 +90,7 @@ class Integrate:
 
     def __init__(self) -> None:
         backend = get_backend("auto")
-        backend.load("cpu")
+        backend.load("cpu", LAUNCHED)
         self._workspace = Workspace(backend, "cpu")
 
     def read(self, seen: Window, watch: Watch) -> Outcome:

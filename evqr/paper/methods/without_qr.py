@@ -23,12 +23,13 @@ from numpy.typing import NDArray
 
 from evqr.config import MotionConfig
 from evqr.events.window import Window
+from evqr.launched import LAUNCHED
 from evqr.paper.methods.event_image import event_image
 from evqr.paper.methods.method import Outcome, Watch
 from evqr.reason import Reason
 from evqr.search.motion_estimate import estimate_motion
 from evqr.workspace import Workspace
-from evqr_kernels.backend import get_backend
+from evqr_kernels.registry import get_backend
 
 Image = NDArray[np.float32]
 
@@ -74,7 +75,7 @@ class WithoutQr:
     def __init__(self, cfg: WithoutQrConfig | None = None) -> None:
         self.cfg = cfg or WithoutQrConfig()
         backend = get_backend("auto")
-        backend.load("cpu")
+        backend.load("cpu", LAUNCHED)
         self._workspace = Workspace(backend, "cpu")
 
     def read(self, seen: Window, watch: Watch) -> Outcome:

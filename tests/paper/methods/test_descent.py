@@ -5,6 +5,7 @@ import pytest
 
 from evqr import simulate
 from evqr.events.window import make_window
+from evqr.launched import LAUNCHED
 from evqr.motion import Motion
 from evqr.paper.methods.descent import (
     DescentConfig,
@@ -14,7 +15,7 @@ from evqr.paper.methods.descent import (
 )
 from evqr.simulate.geometry import transform
 from evqr.workspace import Workspace
-from evqr_kernels.backend import get_backend
+from evqr_kernels.registry import get_backend
 
 VERSION = 1
 SPEED = np.array([3.0, 2.0])  # [px/ms]
@@ -25,7 +26,7 @@ MIDDLE_US = 2000
 @pytest.fixture(scope="module")
 def workspace():
     backend = get_backend("auto")
-    backend.load("cpu")
+    backend.load("cpu", LAUNCHED)
     return Workspace(backend, "cpu")
 
 

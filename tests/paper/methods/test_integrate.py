@@ -5,16 +5,17 @@ import pytest
 
 from evqr import simulate
 from evqr.events.window import make_window
+from evqr.launched import LAUNCHED
 from evqr.motion import Motion
 from evqr.paper.methods.integrate import IntegrateConfig, accumulate, integrate, read_window, stretch
 from evqr.workspace import Workspace
-from evqr_kernels.backend import get_backend
+from evqr_kernels.registry import get_backend
 
 
 @pytest.fixture(scope="module")
 def workspace():
     backend = get_backend("auto")
-    backend.load("cpu")
+    backend.load("cpu", LAUNCHED)
     return Workspace(backend, "cpu")
 
 

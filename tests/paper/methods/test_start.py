@@ -6,13 +6,14 @@ import pytest
 from evqr.events.array import EventArray
 from evqr.events.window import Window, make_window
 from evqr.geometry import outline
+from evqr.launched import LAUNCHED
 from evqr.paper.methods.descent import Descent, DescentConfig
 from evqr.paper.methods.event_image import event_image
 from evqr.paper.methods.method import unwatched
 from evqr.paper.methods.start import agreement_of, find_pose, principal_motion
 from evqr.simulate import simulate
 from evqr.workspace import Workspace
-from evqr_kernels.backend import get_backend
+from evqr_kernels.registry import get_backend
 
 VERSION, MODULE_PX, WINDOW_US = 2, 5.0, 400
 
@@ -20,7 +21,7 @@ VERSION, MODULE_PX, WINDOW_US = 2, 5.0, 400
 @pytest.fixture(scope="module")
 def workspace():
     backend = get_backend("auto")
-    backend.load("cpu")
+    backend.load("cpu", LAUNCHED)
     return Workspace(backend, "cpu")
 
 

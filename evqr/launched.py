@@ -1,0 +1,27 @@
+"""What reading a code launches: kernels to compile or load before threads start."""
+
+from __future__ import annotations
+
+from evqr.fit.image import blur_taps
+from evqr.fit.model import MOMENTS
+
+LAUNCHED = (
+    ("bin_events", {}),
+    ("motion_correlation", {}),
+    ("surface_peak", {}),
+    ("deposit_events", {}),
+    ("lag_operator", {"K": blur_taps(1.0).shape[1]}),
+    ("clip_outliers", {}),
+    ("reduce_image", {}),
+    ("mix_images", {}),
+    ("correlate_templates", {}),
+    ("local_maxima", {}),
+    ("merge_maxima", {}),
+    ("match_corners", {}),
+    ("align_poses", {"C": MOMENTS, "N": 1}),
+    ("align_poses", {"C": MOMENTS, "N": 2}),
+    ("code_rhs", {}),
+    ("pull_modules", {}),
+    ("solve_code", {}),
+)
+"""Operations, each with those of its sizes that its kernels are built for: one pose and several are two."""
