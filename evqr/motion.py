@@ -90,7 +90,18 @@ class Motion(Value):
         return np.zeros((2, 2)) if self.uniform else self.parameters[2:].reshape(2, 2)
 
     def velocity_at(self, point: ArrayLike) -> NDArray[np.float64]:
-        """Give the velocity at a point (2,), or at points (..., 2) [px] -> [px/s]."""
+        """Give the velocity at a point, or at many.
+
+        Parameters
+        ----------
+        point : (..., 2) array-like [px]
+            Column and row.
+
+        Returns
+        -------
+        velocity : (..., 2) float64 [px/s]
+            There.
+        """
         if self.uniform:
             return np.broadcast_to(self.parameters, np.shape(point))
         return self.velocity + (np.asarray(point) - self.about) @ self.slope.T
@@ -121,7 +132,20 @@ class Motion(Value):
         return x - t * (m_x + a_xx * dx + a_xy * dy), y - t * (m_y + a_yx * dx + a_yy * dy)
 
     def advance(self, pose: NDArray[np.float64], time_us: float) -> NDArray[np.float64]:
-        """Give a pose (3, 3) of the reference time at another time."""
+        """Give a pose of the reference time at another time.
+
+        Parameters
+        ----------
+        pose : (3, 3) float64
+            Code coordinates to px, at the reference time.
+        time_us : float [us]
+            The other time.
+
+        Returns
+        -------
+        pose : (3, 3) float64
+            Code coordinates to px, then.
+        """
         seconds = (time_us - self.time_us) * 1e-6
         ahead = np.eye(3)
         if self.uniform:
@@ -133,11 +157,33 @@ class Motion(Value):
         return ahead @ pose
 
     def at(self, time_us: float) -> Motion:
-        """Give the same motion with another reference time: it is taken to hold until then."""
+        """Give the same motion with another reference time: it is taken to hold until then.
+
+        Parameters
+        ----------
+        time_us : float [us]
+            The other time.
+
+        Returns
+        -------
+        motion : Motion
+            With the same parameters.
+        """
         return self if time_us == self.time_us else replace(self, time_us=time_us)
 
     def turned(self, angle: float) -> Motion:
-        """Give the motion with all velocities turned by an angle, from x to y [rad]."""
+        """Give the motion with all velocities turned by an angle.
+
+        Parameters
+        ----------
+        angle : float [rad]
+            From x to y.
+
+        Returns
+        -------
+        motion : Motion
+            As fast, of the same time.
+        """
         if angle == 0.0:
             return self
         cos, sin = math.cos(angle), math.sin(angle)
@@ -148,27 +194,95 @@ class Motion(Value):
         return replace(self, parameters=parameters)
 
     def lag_px(self, tau_us: tuple[float, float]) -> tuple[float, float]:
-        """Give how far pixels with these time constants lag along the motion, for ON and OFF events [px]."""
+        """Give how far pixels lag along the motion.
+
+        Parameters
+        ----------
+        tau_us : (float, float) [us]
+            Their time constants for ON and OFF events.
+
+        Returns
+        -------
+        lag_px : (float, float) [px]
+            For ON and OFF events.
+        """
         per_us = self.speed * 1e-6
         return tau_us[0] * per_us, tau_us[1] * per_us
 
     def tau_us(self, lag_px: tuple[float, float]) -> tuple[float, float]:
-        """Give the time constants of pixels that lag so far along the motion, for ON and OFF events [us]."""
+        """Give the time constants of pixels that lag so far along the motion.
+
+        Parameters
+        ----------
+        lag_px : (float, float) [px]
+            For ON and OFF events.
+
+        Returns
+        -------
+        tau_us : (float, float) [us]
+            For ON and OFF events.
+        """
         per_us = max(self.speed, SLOWEST_PX_PER_S) * 1e-6
         return lag_px[0] / per_us, lag_px[1] / per_us
 
     def displacement(self, duration_us: float) -> NDArray[np.float64]:
-        """Give the way (2,) that things go in a time [us] -> [px]."""
+        """Give the way that things go in a time.
+
+        Parameters
+        ----------
+        duration_us : float [us]
+            The time.
+
+        Returns
+        -------
+        way : (2,) float64 [px]
+            Column and row.
+        """
         return self.velocity * (duration_us * 1e-6)
 
     def travel_px(self, duration_us: float) -> float:
-        """Give how far things travel in a time [us] -> [px]."""
+        """Give how far things travel in a time.
+
+        Parameters
+        ----------
+        duration_us : float [us]
+            The time.
+
+        Returns
+        -------
+        travel_px : float [px]
+            Length of the way.
+        """
         return self.speed * duration_us * 1e-6
 
     def travel_time_us(self, travel_px: float) -> float:
-        """Give the time in which things travel so far, very long where nothing moves [px] -> [us]."""
+        """Give the time in which things travel so far.
+
+        Parameters
+        ----------
+        travel_px : float [px]
+            Length of the way.
+
+        Returns
+        -------
+        time_us : float [us]
+            Very long where nothing moves.
+        """
         return travel_px / max(self.speed, SLOWEST_PX_PER_S) * 1e6
 
     def window_us(self, travel_px: float, *, longest_us: float) -> int:
-        """Give the length of a window in which things travel so far, within bounds [px] -> [us]."""
+        """Give the length of a window in which things travel so far.
+
+        Parameters
+        ----------
+        travel_px : float [px]
+            Length of the way.
+        longest_us : float [us]
+            The window is no longer than this, nor shorter than `SHORTEST_WINDOW_US`.
+
+        Returns
+        -------
+        length_us : int [us]
+            Whole microseconds.
+        """
         return int(min(max(self.travel_time_us(travel_px), SHORTEST_WINDOW_US), longest_us))

@@ -1,11 +1,13 @@
 """Settings: what is refused and how it is said, where defaults come from, what travels."""
 
+import ast
 import copy
 import inspect
 import json
 import pickle
 import re
 from dataclasses import FrozenInstanceError, fields, replace
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -130,3 +132,22 @@ def test_every_default_has_a_source(cls):
         if not isinstance(getattr(cls(), field.name), Settings):
             source = re.search(r"(Chosen|Measured|Default|The standard's)\b.*", texts[field.name])
             assert source, f"{cls.__name__}.{field.name} does not say where its default comes from"
+
+
+def test_every_setting_is_used():
+    """None is left of a step that reads it no more."""
+    package = Path(config.__file__).parents[1]
+    used = {
+        node.attr
+        for path in package.rglob("*.py")
+        if path.parent.name != "config"
+        for node in ast.walk(ast.parse(path.read_text(encoding="utf-8")))
+        if isinstance(node, ast.Attribute)
+    } | {"log_chance_limit"}
+    used |= {
+        node.attr
+        for node in ast.walk(ast.parse(Path(config.__file__).with_name("decode.py").read_text("utf-8")))
+        if isinstance(node, ast.Attribute)
+    }
+    unused = {f"{cls.__name__}.{name}" for cls in CLASSES for name in kinds(cls) if name not in used}
+    assert not {name for name in unused if not name.startswith(("Scheduler", "Track", "ReadConfig"))}  # yet

@@ -2,7 +2,7 @@
 
 All docstrings of evqr are read, from the source.  Those of what `evqr` and `evqr.simulate` export, with their
 public methods, must be complete; of others a line is enough, but what has a section has all of it, and every
-field of a dataclass is described.
+field of a record is described, unless it is private.
 """
 
 import ast
@@ -41,7 +41,7 @@ UNITS = {
 }
 """Endings of names, and the unit in brackets that they ask for."""
 
-TO_CONVERT = {"events", "fit", "motion", "offline", "recording", "search", "solver", "stream"}
+TO_CONVERT = {"fit", "offline", "recording", "search", "solver", "stream"}
 """Rooms whose docstrings are still to be brought into the dialect."""
 
 EXPORTED = {
@@ -196,7 +196,7 @@ def function_faults(node, doc, complete):
 def class_faults(node, doc):
     faults, sections = common_faults(doc), sections_of(doc)
     own = fields_of(node)
-    if is_record(node) and own:
+    if is_record(node) and own and ("Attributes" in sections or not node.name.startswith("_")):
         faults += described(doc, "Attributes", own, others=True)
     elif "Attributes" in sections:
         for name, entry in entries_of(doc, "Attributes")[0].items():

@@ -71,7 +71,18 @@ class EventBuffer:
 
     @classmethod
     def of(cls, events: EventArray) -> EventBuffer:
-        """Give a closed buffer that holds a whole recording."""
+        """Give a closed buffer that holds a whole recording.
+
+        Parameters
+        ----------
+        events : EventArray
+            All of it, in order of time.
+
+        Returns
+        -------
+        buffer : EventBuffer
+            To which nothing more can be pushed.
+        """
         buffer = cls(events.width, events.height)
         buffer.push(events)
         buffer.close()
@@ -129,7 +140,13 @@ class EventBuffer:
         return _Held(block, 0, live, held.base + held.first)
 
     def advance(self, time_us: int) -> None:
-        """Say that all events before a time were pushed, though none may have come since long [us]."""
+        """Say that all events before a time were pushed, though none may have come since long.
+
+        Parameters
+        ----------
+        time_us : int [us]
+            The time.
+        """
         self._known_us = max(self._known_us, time_us)
 
     def close(self) -> None:
@@ -137,17 +154,45 @@ class EventBuffer:
         self.closed = True
 
     def reaches(self, time_us: float) -> bool:
-        """Whether the stream went on to a time, so that all events before it are here."""
+        """Tell whether the stream went on to a time, so that all events before it are here.
+
+        Parameters
+        ----------
+        time_us : float [us]
+            The time.
+
+        Returns
+        -------
+        reaches : bool
+            Whether it did.
+        """
         return self._known_us >= time_us
 
     def forget(self, before_us: float) -> None:
-        """Let go of events before a time; no window may begin there any more."""
+        """Let go of events before a time; no window may begin there any more.
+
+        Parameters
+        ----------
+        before_us : float [us]
+            The time.
+        """
         if before_us > self._forgotten_us:
             self._forgotten_us = before_us
             self._held = self._held._replace(first=self._held.place_of(before_us))
 
     def count_before(self, time_us: float) -> int:
-        """Events of the stream before a time, which must not be forgotten."""
+        """Count the events of the stream before a time.
+
+        Parameters
+        ----------
+        time_us : float [us]
+            The time, which must not be forgotten.
+
+        Returns
+        -------
+        count : int
+            Since the stream began.
+        """
         held = self._held
         return held.base + held.place_of(time_us)
 
@@ -155,6 +200,16 @@ class EventBuffer:
         """Cut a window.
 
         Windows of one stream that begin with the same event know it (`Window.begins_like`).
+
+        Parameters
+        ----------
+        start_us, end_us : int [us]
+            Bounds, the end not included.
+
+        Returns
+        -------
+        window : Window
+            Its events are views of what the buffer holds.
 
         Raises
         ------
@@ -173,7 +228,18 @@ class EventBuffer:
         return Window(held.block.cut(first, max(first, last)), start_us, end_us, origin=origin)
 
     def answer(self, asking: Asking[T]) -> T:
-        """Run work that asks for windows, all of whose events are here, and give what it returns."""
+        """Run work that asks for windows, all of whose events are here.
+
+        Parameters
+        ----------
+        asking : generator
+            Yields the bounds of each window that it needs [us], and is sent the window.
+
+        Returns
+        -------
+        answer : any
+            What the generator returns.
+        """
         try:
             bounds = next(asking)
             while True:

@@ -58,7 +58,18 @@ class Window:
         return (self.start_us + self.end_us) // 2
 
     def begins_like(self, other: Window) -> bool:
-        """Whether the shorter of the two is the beginning of the other, so that it has the same events."""
+        """Tell whether the shorter of the two is the beginning of the other, so that it has the same events.
+
+        Parameters
+        ----------
+        other : Window
+            Of any stream.
+
+        Returns
+        -------
+        alike : bool
+            False where it is not known.
+        """
         if self.origin is None or other.origin is None:
             return self is other
         return self.origin == other.origin
@@ -86,11 +97,28 @@ class Window:
         return self.events.p.astype(np.float32)
 
     def write_times(self, out: NDArray[np.float32]) -> None:
-        """Write the times, in microseconds, to an array of the caller's."""
+        """Write the times, relative to the middle, to an array of the caller's.
+
+        Parameters
+        ----------
+        out : (E,) float32 [us]
+            Overwritten.
+        """
         np.subtract(self.events.t, self.middle_us, out=out, casting="unsafe")
 
     def keep(self, mask: NDArray[np.bool_]) -> Window:
-        """Give the window with only the events where ``mask``."""
+        """Give the window with only some of its events.
+
+        Parameters
+        ----------
+        mask : (E,) bool
+            Which are kept.
+
+        Returns
+        -------
+        window : Window
+            Of the same bounds; its events are copies.
+        """
         e = self.events
         kept = EventArray(e.t[mask], e.x[mask], e.y[mask], e.p[mask], e.width, e.height)
         return Window(kept, self.start_us, self.end_us)
