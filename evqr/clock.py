@@ -3,8 +3,13 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Iterator, Mapping
+from collections.abc import Generator, Iterator, Mapping
 from contextlib import contextmanager
+from typing import Any, TypeVar
+
+Asked = TypeVar("Asked")
+Answer = TypeVar("Answer")
+T = TypeVar("T")
 
 
 class StageClock:
@@ -27,6 +32,17 @@ class StageClock:
             yield
         finally:
             self.ms[stage] = self.ms.get(stage, 0.0) + 1e3 * (time.perf_counter() - start)
+
+    def pausing(self, stage: str, asking: Generator[Asked, Answer, T]) -> Generator[Asked, Answer, T]:
+        """Time work that pauses to ask for something: until it is answered, no time is counted."""
+        answer: Any = None
+        while True:
+            try:
+                with self(stage):
+                    asked = asking.send(answer)
+            except StopIteration as end:
+                return end.value
+            answer = yield asked
 
     def add(self, timings_ms: Mapping[str, float]) -> None:
         """Add what others measured."""

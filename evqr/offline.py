@@ -5,23 +5,25 @@ from __future__ import annotations
 import itertools
 import time
 from collections import deque
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from concurrent.futures import Future, ThreadPoolExecutor
 from contextlib import ExitStack
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from queue import SimpleQueue
 from typing import TYPE_CHECKING, Any
 
 from evqr.clock import StageClock
+from evqr.events.buffer import EventBuffer
 from evqr.fit.detection import Detection, NotFound
 from evqr.fit.modules import CodeEstimate
 from evqr.geometry import affine_to_code
+from evqr.reason import Reason
 from evqr.recording import Recording, open_recording
-from evqr.results import ReadResult, ReadStatus, Statistics, WindowCode, WindowReading
+from evqr.results import CodeReading, ReadResult, ReadStatus, WindowCode, WindowReading
 from evqr.search.motion_estimate import MotionEstimate
 from evqr.solver import Solver
-from evqr.stream.feed import Feed
-from evqr.stream.scheduler import Passes, Progress
+from evqr.stream.records import CodeLeft, CodeRead, CodeUnread, Searched, StreamRecord
+from evqr.stream.scheduler import StreamScheduler
 from evqr.symbol.decode import decode_grid
 from evqr.symbol.decoded import Decoded, DecodeFailure
 
@@ -30,6 +32,11 @@ if TYPE_CHECKING:
 
     from evqr.config import ReadConfig
     from evqr.recording import RecordingOptions
+
+Progress = Callable[[int, "int | None"], None]
+
+PROGRESS_US = 1_000
+"""Event time between two calls of a progress function at least [us]."""
 
 WINDOWS_A_JOB = 4
 """Windows that a thread reads before it asks for more: each time it may have to wait for the GIL."""
@@ -70,21 +77,71 @@ def read_codes(
     with ExitStack() as stack:
         recording, path = _open(source, opening, stack)
         solvers, pool = _solvers(threads, stack, config=config, backend=backend, device=device)
-        passes = Passes(solvers, Feed(recording), recording, pool=pool, progress=progress)
-        passes.run()
-        seen = passes.seen()
-    compute = {**passes.clock.ms, "total": 1e3 * (time.perf_counter() - started)}
-    readings = tuple(sorted(passes.readings, key=lambda r: r.t_read_us))
-    status = ReadStatus.READ if readings else ReadStatus.NO_READ
+        scheduler = StreamScheduler(solvers, recording.width, recording.height, pool=pool)
+        codes = _Codes()
+        for record in _records(scheduler, recording, progress):
+            codes.take(record)
+    readings = tuple(sorted(codes.readings.values(), key=lambda reading: reading.t_read_us))
+    reason, reason_code = ("", None) if readings else codes.why_nothing()
     return ReadResult(
-        status,
-        "" if readings else passes.why_nothing(),
-        readings,
-        Statistics(**seen),
-        compute,
-        path,
+        status=ReadStatus.READ if readings else ReadStatus.NO_READ,
+        reason=reason,
+        readings=readings,
+        seen=scheduler.statistics,
+        compute_ms={**scheduler.timings_ms, "total": 1e3 * (time.perf_counter() - started)},
+        source=path,
+        reason_code=reason_code,
         warnings=recording.notes,
     )
+
+
+class _Codes:
+    """What the records of a stream come to."""
+
+    def __init__(self) -> None:
+        self.readings: dict[int, CodeReading] = {}
+        self._unread: CodeUnread | None = None
+        self._nearest = NotFound(Reason.NO_EVENTS, closest=-1.0)
+
+    def take(self, record: StreamRecord) -> None:
+        """Add a record."""
+        if isinstance(record, CodeRead):
+            self.readings[record.code] = record.reading
+        elif isinstance(record, CodeLeft):
+            reading = self.readings[record.code]
+            self.readings[record.code] = replace(reading, t_last_us=record.t_last_us)
+        elif isinstance(record, CodeUnread):
+            if self._unread is None or record.score > self._unread.score:
+                self._unread = record
+        elif isinstance(record, Searched) and record.not_found is not None:
+            if record.not_found.closest >= self._nearest.closest:
+                self._nearest = record.not_found
+
+    def why_nothing(self) -> tuple[str, Reason]:
+        """Why nothing was read, for people and for programs."""
+        best = self._unread
+        if best is None:
+            return str(self._nearest), self._nearest.reason
+        detail = f"over {best.t_last_us - best.t_first_us} us: {best.failure}"
+        return Reason.NOT_DECODED.explained(detail), Reason.NOT_DECODED
+
+
+def _records(
+    scheduler: StreamScheduler, recording: Recording, progress: Progress | None
+) -> Iterator[StreamRecord]:
+    """Push a recording through a scheduler."""
+    for chunk in recording.chunks():
+        if scheduler.finished:
+            break
+        scheduler.push(chunk)
+        if progress is not None:
+            start, end = int(chunk.t[0]), int(chunk.t[-1])
+            for until in range(start, end, max(PROGRESS_US, (end - start) // 100)):
+                yield from scheduler.step(until)
+                _tell(progress, until, recording)
+        yield from scheduler.step()
+        _tell(progress, int(chunk.t[-1]), recording)
+    yield from scheduler.close()
 
 
 def _open(source: Any, opening: RecordingOptions, stack: ExitStack) -> tuple[Recording, str]:
@@ -119,12 +176,13 @@ def read_windows(
     with ExitStack() as stack:
         recording, _ = _open(source, opening, stack)
         solvers, pool = _solvers(threads, stack, config=config, backend=backend, device=device)
-        events = Feed(recording)
+        feed = _Feed(recording, solvers[0].config)
+        events = feed.events
         if pool is None:
-            for start in _starts(events, recording, solvers[0]):
+            for start in _starts(feed, recording, solvers[0]):
                 events.forget(start.us)
                 yield _read_alone(start, events, solvers[0])
-                _tell(progress, start.us, events, recording)
+                _tell(progress, start.us, recording)
             return
         idle: SimpleQueue[Solver] = SimpleQueue()
         for solver in solvers:
@@ -138,7 +196,7 @@ def read_windows(
                 idle.put(solver)
 
         # a solver of its own, for the motion that windows are as long as: the others are at work meanwhile
-        ahead = _starts(events, recording, Solver(config, backend=backend, device=device))
+        ahead = _starts(feed, recording, Solver(config, backend=backend, device=device))
         running: deque[tuple[int, Future[list[WindowReading]]]] = deque()
         most = solvers[0].config.max_windows
         together = WINDOWS_A_JOB if most is None else min(WINDOWS_A_JOB, -(-most // len(solvers)))
@@ -147,7 +205,7 @@ def read_windows(
             if len(running) > 2 * len(solvers):
                 events.forget(running[0][0])
                 yield from running.popleft()[1].result()
-            _tell(progress, starts[-1].us, events, recording)
+            _tell(progress, starts[-1].us, recording)
         while running:
             yield from running.popleft()[1].result()
 
@@ -163,10 +221,10 @@ def _solvers(
     return solvers, stack.enter_context(ThreadPoolExecutor(count)) if count > 1 else None
 
 
-def _tell(progress: Progress | None, now_us: int, events: Feed, recording: Recording) -> None:
-    if progress is not None and events.first_us is not None:
-        last = recording.t_last_us
-        progress(now_us - events.first_us, None if last is None else last - events.first_us)
+def _tell(progress: Progress | None, now_us: int, recording: Recording) -> None:
+    first, last = recording.t_first_us, recording.t_last_us
+    if progress is not None and first is not None:
+        progress(now_us - first, None if last is None else last - first)
 
 
 @dataclass(frozen=True)
@@ -178,9 +236,35 @@ class _Start:
     length_us: int | None
 
 
-def _starts(events: Feed, recording: Recording, solver: Solver) -> Iterator[_Start]:
-    """Windows to read, in order of time."""
-    cfg = solver.config
+class _Feed:
+    """The events of a recording, loaded as far as they are needed."""
+
+    def __init__(self, recording: Recording, config: ReadConfig) -> None:
+        self.events = EventBuffer(recording.width, recording.height)
+        self._chunks = recording.chunks()
+        self._longest_us = max(config.motion.longest_us, config.window_us or 0)
+        while self.events.first_us is None and self._pull():
+            pass
+
+    def _pull(self) -> bool:
+        """Load a chunk; False where there is none."""
+        chunk = next(self._chunks, None)
+        if chunk is None:
+            self.events.close()
+            return False
+        self.events.push(chunk)
+        return True
+
+    def load(self, start_us: int) -> bool:
+        """Load all that a window from a time on may ask for; False where the recording ends before it."""
+        while not self.events.reaches(start_us + self._longest_us) and self._pull():
+            pass
+        return self.events.reaches(start_us + 1)
+
+
+def _starts(feed: _Feed, recording: Recording, solver: Solver) -> Iterator[_Start]:
+    """Windows to read, in order of time, their events loaded."""
+    cfg, events = solver.config, feed.events
     first = events.first_us
     if first is None:
         return
@@ -190,28 +274,30 @@ def _starts(events: Feed, recording: Recording, solver: Solver) -> Iterator[_Sta
             last = max(int(chunk.t[-1]) for chunk in recording.chunks() if len(chunk))
         slot = (last + 1 - first) / cfg.max_windows
         for index in range(cfg.max_windows):
-            yield _Start(index, round(first + index * slot), cfg.window_us)
+            start_us = round(first + index * slot)
+            feed.load(start_us)
+            yield _Start(index, start_us, cfg.window_us)
         return
     start_us = first
     for index in itertools.count():
-        if not events.reaches(start_us + 1):
+        if not feed.load(start_us):
             return
         length = cfg.window_us
         if length is None:
-            moving = solver.motion_at(events, start_us)
+            moving = events.answer(solver.motion_at(start_us))
             found = isinstance(moving, MotionEstimate)
             length = solver.window_us(moving.motion) if found else cfg.motion.probe_us
         yield _Start(index, start_us, length)
         start_us += length
 
 
-def _read_alone(start: _Start, events: Feed, solver: Solver) -> WindowReading:
+def _read_alone(start: _Start, events: EventBuffer, solver: Solver) -> WindowReading:
     """Read one window from cold."""
     clock = StageClock()
     start_us, length = start.us, start.length_us
     moving: MotionEstimate | NotFound | None = None
     if length is None:
-        moving = solver.motion_at(events, start_us)
+        moving = events.answer(solver.motion_at(start_us))
         clock.add(moving.timings_ms)
         length = solver.config.motion.probe_us
         if isinstance(moving, MotionEstimate):

@@ -12,7 +12,7 @@ from dataclasses import replace
 from evqr.clock import StageClock
 from evqr.config import ReadConfig, SearchPass
 from evqr.device import kernels_on
-from evqr.events.buffer import EventBuffer
+from evqr.events.buffer import Asking
 from evqr.events.window import Window
 from evqr.fit.detection import NO_LAG, Detection, NotFound
 from evqr.fit.measure import measure
@@ -54,14 +54,14 @@ class Solver:
         self.workspace = Workspace(kernels_on(backend, device), device)
         self.workspace.backend.load(device, LAUNCHED)
 
-    def motion_at(
-        self, events: EventBuffer, start_us: int, *, guess: Motion | None = None
-    ) -> MotionEstimate | NotFound:
-        """Estimate the motion at a time of a stream; from cold, or with a guess of its speed."""
+    def motion_at(self, start_us: int, *, guess: Motion | None = None) -> Asking[MotionEstimate | NotFound]:
+        """Estimate the motion at a time of a stream; from cold, or with a guess of its speed.
+
+        It asks for the windows that it takes (`EventBuffer.answer` runs it where all events are there).
+        """
         clock = StageClock()
-        with clock("motion"):
-            asking = find_motion(start_us, self.config.motion, workspace=self.workspace, guess=guess)
-            found = events.answer(asking)
+        asking = find_motion(start_us, self.config.motion, workspace=self.workspace, guess=guess)
+        found = yield from clock.pausing("motion", asking)
         return _timed(found, clock)
 
     def motion_in(self, window: Window) -> MotionEstimate | NotFound:

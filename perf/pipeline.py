@@ -82,7 +82,7 @@ def prepare(recording: Recording, solver: Solver) -> list[Job]:
     buffer = EventBuffer.of(recording.events)
     jobs = []
     for start_us in recording.starts_us:
-        moving = solver.motion_at(buffer, start_us)
+        moving = buffer.answer(solver.motion_at(start_us))
         if isinstance(moving, NotFound):
             continue
         motion = moving.motion
@@ -129,7 +129,7 @@ def run_tracked(job: Job, solver: Solver, clock: StageClock | None = None) -> st
 
 
 def _motion(job: Job, solver: Solver, clock: StageClock) -> Motion | None:
-    moving = solver.motion_at(job.buffer, job.start_us)
+    moving = job.buffer.answer(solver.motion_at(job.start_us))
     clock.add(moving.timings_ms)
     return moving.motion if isinstance(moving, MotionEstimate) else None
 

@@ -40,7 +40,7 @@ def check(device: str) -> float:
     found = {}
     for backend, solver in solvers.items():
         begin = time.perf_counter()
-        seen = solver.motion_at(buffer, start)
+        seen = buffer.answer(solver.motion_at(start))
         if isinstance(seen, MotionEstimate):
             motion = seen.motion
             seen = solver.find(buffer.window(start, start + solver.window_us(motion)), motion)

@@ -13,3 +13,8 @@ def pytest_addoption(parser):
         action="append",
         help="run the kernels on this device only, 'cuda:0' say; may be repeated; default: on all there are",
     )
+    parser.addoption(
+        "--whole",
+        action="store_true",
+        help="tests/shared/test_streams.py: read all of each recording, not a part of it; takes minutes",
+    )

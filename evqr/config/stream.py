@@ -28,6 +28,8 @@ class SchedulerConfig(Settings):
     same_place : float
         How far from where a lost code must be one with the same text may be found for them to be one, in
         sizes of the code. Chosen: two codes cannot overlap.
+    remembered_codes : int
+        Codes at most that may be found again; the oldest are forgotten first. Chosen: more than are in view.
     """
 
     unknown_us: Count = 2_000
@@ -36,6 +38,7 @@ class SchedulerConfig(Settings):
     codes_a_search: Count = 16
     margin_modules: NotNegative = 4.0
     same_place: Positive = 0.5
+    remembered_codes: Count = 64
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -146,11 +146,6 @@ class Recording:
         Memory is bounded by the chunk and by what the sensor fires within `ordering.MAX_DISORDER_US`.  Can be
         called again for another pass.
 
-        Yields
-        ------
-        events : EventArray
-            The next chunk.
-
         Raises
         ------
         RecordingError
@@ -187,13 +182,7 @@ class Recording:
         yield from intake.finish()
 
     def read(self) -> EventArray:
-        """Give all events at once.
-
-        Returns
-        -------
-        events : EventArray
-            Ascending in time.
-        """
+        """All events at once."""
         parts = list(self.chunks())
         if len(parts) == 1:
             return parts[0]

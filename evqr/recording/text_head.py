@@ -45,17 +45,9 @@ _UNIT = re.compile(
 
 
 class Style(NamedTuple):
-    """How values are written in a line.
+    """How values are written in a line."""
 
-    Attributes
-    ----------
-    separator : str, optional
-        Between values; None: spaces or tabs.
-    decimal_comma : bool
-        Whether fractions begin with a comma.
-    """
-
-    separator: str | None
+    separator: str | None  # None: spaces or tabs
     decimal_comma: bool
 
     def cells(self, line: str) -> list[str]:
@@ -98,10 +90,8 @@ class Head(NamedTuple):
         How values are written.
     columns : Columns
         What each column is.
-    sensor : DeclaredSensor or Unclear, optional
-        As declared, if it is.
-    unit : DeclaredUnit, optional
-        As declared, if it is.
+    sensor, unit
+        As declared, if they are.
     whole_times : bool
         Whether no time of the sample has a fraction.
     words : bool

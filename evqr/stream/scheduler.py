@@ -1,266 +1,381 @@
-"""The codes of one recording: searched for, followed, read, one after another and side by side.
+"""The codes of a stream: searched for, followed, read, one after another and side by side, as events come.
 
-One loop over event time: the next thing to do, a search or the next window of a code that is followed, is
-always the earliest one, so a stream of any length is read in bounded memory.
+A simulation of discrete events.  What is done with a stream is a few activities: one search, and one for
+each code that is followed.  An activity is a generator that asks for windows, one after the other; it goes on
+as soon as all events of its window are here.  Of several that may go on, the one whose window ends first
+does, however the events were cut into chunks when they came.  So the records are the same whether a stream is
+pushed microsecond by microsecond or all at once, and a search that waits for a long window holds up no code
+that is followed.
 """
 
 from __future__ import annotations
 
 import heapq
 import itertools
-from collections.abc import Callable
+import math
 from concurrent.futures import Executor
 from dataclasses import dataclass, replace
-from typing import Any
+from typing import NamedTuple
 
 import numpy as np
 
 from evqr.clock import StageClock
+from evqr.events.array import EventArray
+from evqr.events.buffer import Asking, EventBuffer
 from evqr.events.window import Window
 from evqr.fit.detection import Detection, NotFound
 from evqr.motion import Motion
 from evqr.reason import Reason
-from evqr.recording import Recording
-from evqr.results import CodeReading
+from evqr.results import Statistics
 from evqr.solver import Solver
-from evqr.stream.feed import Feed
+from evqr.stream.known import KnownCodes
+from evqr.stream.records import CodeAgain, CodeLeft, CodeRead, CodeUnread, Searched, StreamRecord
 from evqr.stream.track import Track
 
-Progress = Callable[[int, "int | None"], None]
+FOLLOW, SEARCH = range(2)
+"""Ranks of activities: of those that wait for the same time, those that follow a code go on first."""
 
-SEARCH_UNKNOWN_US = 2_000
-"""Time between two searches while the speed is unknown [us]."""
 
-MOST_BESIDE = 16
-"""Codes that one search finds at most."""
+class _Waiting(NamedTuple):
+    """An activity that waits for the events of a window; the smallest goes on first."""
 
-SEARCH_LONGEST_US = 20_000
-"""Longest time between two searches [us]: what is in view now may be slow, and a fast code may come."""
-
-SEARCH_SELDOM = 2
-"""How much less often is searched while a code that was read is followed."""
-
-OUTLINE_MARGIN = 4.0
-"""Modules around a followed code whose events a search does not see: its quiet zone."""
-
-SAME_PLACE = 0.5
-"""How far from where a lost code must be one with the same text may be found, for them to be one, in sizes of
-the code: two codes cannot overlap."""
+    end_us: int
+    rank: int
+    order: int
+    start_us: int
+    activity: Asking[None]
 
 
 @dataclass(frozen=True, eq=False)
-class _Look:
-    """One search: where, what moved there, and what was found or why nothing was."""
+class _Try:
+    """What a search at one time found, or why it found nothing; no window where nothing moves."""
 
     start_us: int
-    end_us: int
     motion: Motion | None
+    window: Window | None
     found: Detection | NotFound
-    clock: StageClock
 
 
-class Passes:
-    """All codes of one recording."""
+class StreamScheduler:
+    """Reads all codes of a stream whose events come bit by bit.
+
+    Events before the earliest that anything may still ask for are forgotten, so a stream of any length is
+    read in bounded memory.
+
+    Parameters
+    ----------
+    solvers : list of Solver
+        One, or more to search with several at once while no code is followed. They must have one
+        configuration.
+    width, height : int [px]
+        Size of the sensor.
+    pool : concurrent.futures.Executor, optional
+        Threads for searching with several solvers.
+
+    Attributes
+    ----------
+    finished : bool
+        Whether nothing will be done any more: the stream is closed, or as many windows as the configuration
+        allows have been worked on.
+    """
 
     def __init__(
-        self,
-        solvers: list[Solver],
-        events: Feed,
-        recording: Recording,
-        *,
-        pool: Executor | None = None,
-        progress: Progress | None = None,
+        self, solvers: list[Solver], width: int, height: int, *, pool: Executor | None = None
     ) -> None:
-        """Read with one solver, or search with several at once on the threads of a pool."""
-        self.config = solvers[0].config
-        self.events = events
-        self.readings: list[CodeReading] = []
-        self.clock = StageClock()
+        self._config = solvers[0].config
         self._solvers = solvers
         self._solver = solvers[0]
-        self._pool = pool
-        self._recording = recording
-        self._progress = progress
+        self._pool = pool if len(solvers) > 1 else None
+        self._events = EventBuffer(width, height)
+        self._known = KnownCodes(self._config.scheduler, width, height)
+        self._records: list[StreamRecord] = []
+        self._waiting: list[_Waiting] = []
+        self._order = itertools.count()
+        self._searching: Asking[None] | None = None
+        self._search_us = 0
         self._tracks: list[Track] = []
-        self._unread: list[Track] = []
-        self._read: list[tuple[Track, int]] = []
+        self._lost: list[Track] = []
         self._motion: Motion | None = None
         self._tau_us: tuple[float, float] | None = None
-        self._windows = 0
-        self._searches = 0
-        self._nearest = NotFound(Reason.NO_EVENTS, closest=-1.0)
+        self._clock = StageClock()
+        self._windows = self._searches = self._unread = 0
+        self._ended: tuple[int, int] | None = None
 
-    def run(self) -> None:
-        """Work through the recording in order of event time."""
-        start = self.events.first_us
-        if start is None:
+    @property
+    def finished(self) -> bool:
+        """Whether nothing will be done any more."""
+        return self._ended is not None or self._events.closed
+
+    def push(self, events: EventArray) -> None:
+        """Take the next events of the stream; `step` works on them.
+
+        Parameters
+        ----------
+        events : EventArray
+            In order of time, none before the newest that was pushed or the time stepped to; any number. None
+            is taken any more once the configuration allows no further window.
+
+        Raises
+        ------
+        ValueError
+            When they come too late, after `close`, or of a sensor of another size.
+        """
+        if self._ended is not None:
             return
-        order = itertools.count()
-        search_us = start
-        queue: list[tuple[int, int, Track | None]] = [(start, next(order), None)]
-        while queue:
-            at_us, _, track = heapq.heappop(queue)
-            self.events.forget(at_us)
-            if self._progress is not None:
-                last = self._recording.t_last_us
-                done = at_us if last is None else min(at_us, last)
-                self._progress(done - start, None if last is None else last - start)
-            most = self.config.max_windows
+        self._events.push(events)
+        if self._searching is None and self._events.first_us is not None:
+            self._search_from(self._events.first_us)
+
+    def step(self, until_us: int | None = None) -> list[StreamRecord]:
+        """Do all that can be done with the events up to a time.
+
+        Parameters
+        ----------
+        until_us : int [us]
+            All events before it have been pushed; it may lie after the newest one, where time passes without
+            events.  Default: the time of the newest event.
+
+        Returns
+        -------
+        records : list of StreamRecord
+            What has become certain, in order.
+        """
+        if until_us is None:
+            until_us = self._events.last_us
+        elif self._events.last_us is not None:
+            self._events.advance(until_us)
+        return self._run(-math.inf if until_us is None else until_us)
+
+    def close(self) -> list[StreamRecord]:
+        """Take the stream as ended, and do what is left to do.
+
+        Returns
+        -------
+        records : list of StreamRecord
+            The last ones.
+        """
+        self._events.close()
+        return self._run(math.inf)
+
+    @property
+    def statistics(self) -> Statistics:
+        """What has been done so far."""
+        events = self._events
+        count, duration_us = self._ended or (events.pushed, (events.last_us or 0) - (events.first_us or 0))
+        return Statistics(
+            events=count,
+            duration_us=duration_us,
+            windows=self._windows,
+            searches=self._searches,
+            codes_not_decoded=self._unread,
+        )
+
+    @property
+    def timings_ms(self) -> dict[str, float]:
+        """What it took so far, by stage [ms]."""
+        clock = StageClock()
+        for timings_ms in (self._clock.ms, *(track.timings_ms for track in self._tracks)):
+            clock.add(timings_ms)
+        return clock.ms
+
+    # ---- activities
+
+    def _run(self, until_us: float) -> list[StreamRecord]:
+        """Let activities go on, in the order of the times at which their events are here."""
+        most = self._config.max_windows
+        ran = False
+        while self._waiting and self._waiting[0].end_us <= until_us:
+            next_one = heapq.heappop(self._waiting)
             if most is not None and self._windows >= most:
+                self._end(next_one.end_us)
                 break
-            if track is None:
-                if at_us != search_us or not self.events.reaches(at_us + 1):
-                    continue
-                search_us = self._search(at_us)
-                for new in self._tracks:
-                    if all(new is not entry[2] for entry in queue):
-                        heapq.heappush(queue, (new.next_window(self._solver)[0], next(order), new))
-                heapq.heappush(queue, (search_us, next(order), None))
-            else:
-                self._follow(track)
-                if track in self._tracks:
-                    heapq.heappush(queue, (track.next_window(self._solver)[0], next(order), track))
-                elif at_us < search_us:  # where one code has gone the next may be
-                    search_us = at_us
-                    heapq.heappush(queue, (search_us, next(order), None))
+            ran = True
+            window = self._events.window(next_one.start_us, next_one.end_us)
+            try:
+                start_us, end_us = next_one.activity.send(window)
+            except StopIteration:
+                continue
+            heapq.heappush(self._waiting, next_one._replace(start_us=start_us, end_us=end_us))
+        if ran and self._waiting:
+            self._forget(min(waiting.start_us for waiting in self._waiting))
+        records, self._records = self._records, []
+        return records
+
+    def _start(self, activity: Asking[None], rank: int) -> None:
+        """Begin an activity: it goes on until it asks for its first window."""
+        start_us, end_us = next(activity)
+        waiting = _Waiting(end_us, rank, next(self._order), start_us, activity)
+        heapq.heappush(self._waiting, waiting)
+
+    def _end(self, time_us: int) -> None:
+        """Stop at a time, with all windows worked on that may be."""
+        self._ended = self._events.count_before(time_us), time_us - (self._events.first_us or 0)
+        self._waiting.clear()
         for track in list(self._tracks):
             self._finish(track)
 
-    def _search(self, at_us: int) -> int:
-        """Search at a time, and ahead of it on the other threads, and say when to search again [us]."""
-        looks: list[_Look]
-        if self._pool is None or self._tracks or self._motion is None:
-            looks = [self._look_at(self._solver, at_us)]
-        else:
-            step = self._step_us(self._motion)
-            starts = [at_us + k * step for k in range(len(self._solvers))]
-            looks = list(self._pool.map(self._look_at, self._solvers, starts))
-        found = next((k for k, look in enumerate(looks) if isinstance(look.found, Detection)), len(looks) - 1)
-        for look in looks[: found + 1]:
-            self._searches += 1
-            self._windows += look.end_us > look.start_us
-            if isinstance(look.found, NotFound) and look.found.closest >= self._nearest.closest:
-                self._nearest = look.found
-        for look in looks[:found]:
-            self._note(look.clock)
-        look = looks[found]
-        if look.motion is None:
-            self._note(look.clock)
-            return look.start_us + SEARCH_UNKNOWN_US
-        self._motion = look.motion
-        for _ in range(MOST_BESIDE):
-            if not isinstance(look.found, Detection) or look.motion is None:
-                break
-            self._tracks.append(Track(look.found, look.start_us, look.end_us, self._solver, look.clock))
-            self._settle(self._tracks[-1])
-            look = self._look_beside(look, look.motion)
-        self._note(look.clock)
-        return look.start_us + self._step_us(self._motion)
+    def _forget(self, before_us: int) -> None:
+        """Let go of what no activity may ask for: none goes back behind the start of its window."""
+        self._events.forget(before_us)
+        self._known.forget(before_us)
+        self._lost = [track for track in self._lost if track.detection.time_us > before_us]
 
-    def _look_beside(self, look: _Look, motion: Motion) -> _Look:
-        """Search the window of a find again, for a code beside it."""
-        clock = StageClock()
-        window = self._outside_tracks(self.events.window(look.start_us, look.end_us))
-        found = self._solver.find(window, motion, tau_us=self._tau_us)
-        clock.add(found.timings_ms)
-        return replace(look, found=found, clock=clock)
+    def _search_from(self, at_us: int) -> None:
+        """Search from a time on, instead of from a later one."""
+        if self._searching is not None:
+            self._searching.close()
+            self._waiting = [one for one in self._waiting if one.activity is not self._searching]
+            heapq.heapify(self._waiting)
+        self._search_us = at_us
+        self._searching = self._search(at_us)
+        self._start(self._searching, SEARCH)
+
+    # ---- searching
+
+    def _search(self, at_us: int) -> Asking[None]:
+        """Search again and again, from a time on."""
+        while True:
+            self._search_us = at_us
+            yield at_us, at_us + 1
+            if not self._events.reaches(at_us + 1):
+                return
+            at_us = yield from self._search_once(at_us)
+
+    def _search_once(self, at_us: int) -> Asking[int]:
+        """Search at a time, and ahead of it on the other threads, and say when to search again [us]."""
+        tries = yield from self._tries(at_us)
+        last = next(
+            (k for k, tried in enumerate(tries) if isinstance(tried.found, Detection)), len(tries) - 1
+        )
+        for tried in tries[: last + 1]:  # what was searched behind a find will be searched again
+            self._searches += 1
+            self._windows += tried.window is not None
+            self._take(tried)
+        motion, start_us = tries[last].motion, tries[last].start_us
+        if motion is None:
+            return start_us + self._config.scheduler.unknown_us
+        self._motion = motion
+        return start_us + self._step_us(motion)
+
+    def _tries(self, at_us: int) -> Asking[list[_Try]]:
+        """Search at a time, and ahead of it on the other threads while nothing else is going on."""
+        if self._pool is None or self._tracks or self._motion is None:
+            tried = yield from self._try(self._solver, at_us)
+            return [tried]
+        step = self._step_us(self._motion)
+        asking = [self._try(solver, at_us + k * step) for k, solver in enumerate(self._solvers)]
+        # none of them asks for more, so each may run to its end
+        most = max(self._config.motion.longest_us, self._config.window_us or 0)
+        yield at_us, at_us + (len(asking) - 1) * step + most
+        return list(self._pool.map(self._events.answer, asking))
 
     def _step_us(self, motion: Motion) -> int:
         """Time between two searches [us]."""
+        cfg = self._config.scheduler
         sure = any(track.reading is not None for track in self._tracks)
-        travel = self.config.search_px * (SEARCH_SELDOM if sure else 1)
+        travel = self._config.search_px * (cfg.seldom if sure else 1.0)
         step = max(self._solver.window_us(motion), round(motion.travel_time_us(travel)))
-        return min(step, SEARCH_LONGEST_US)
+        return min(step, cfg.longest_us)
 
-    def _look_at(self, solver: Solver, at_us: int) -> _Look:
-        """Search once; runs on any thread and changes nothing here."""
+    def _try(self, solver: Solver, at_us: int) -> Asking[_Try]:
+        """Search once; may run on any thread and changes nothing here."""
         clock = StageClock()
-        moving = solver.motion_at(self.events, at_us, guess=self._motion)
+        moving = yield from solver.motion_at(at_us, guess=self._motion)
         clock.add(moving.timings_ms)
         if isinstance(moving, NotFound) and self._motion is not None:
-            moving = solver.motion_at(self.events, at_us)
+            moving = yield from solver.motion_at(at_us)
             clock.add(moving.timings_ms)
         if isinstance(moving, NotFound):
-            return _Look(at_us, at_us, None, NotFound(Reason.NOTHING_MOVES), clock)
+            return _Try(at_us, None, None, replace(moving, timings_ms=clock.ms))
         motion = moving.motion
         end_us = at_us + solver.window_us(motion)
-        if not self.events.reaches(end_us):
-            return _Look(at_us, at_us, motion, NotFound(Reason.RECORDING_ENDS, closest=-1.0), clock)
-        window = self._outside_tracks(self.events.window(at_us, end_us))
-        found = solver.find(window, motion, tau_us=self._tau_us)
+        window = yield at_us, end_us
+        if not self._events.reaches(end_us):
+            ends = NotFound(Reason.RECORDING_ENDS, closest=-1.0, timings_ms=clock.ms)
+            return _Try(at_us, motion, None, ends)
+        found = solver.find(self._outside_tracks(window), motion, tau_us=self._tau_us)
         clock.add(found.timings_ms)
-        return _Look(at_us, end_us, motion, found, clock)
+        return _Try(at_us, motion, window, replace(found, timings_ms=clock.ms))
+
+    def _take(self, tried: _Try) -> None:
+        """Follow the codes that a search found: one, and those beside it."""
+        found, codes = tried.found, 0
+        while isinstance(found, Detection) and tried.window is not None and tried.motion is not None:
+            track = Track(found, tried.window, self._solver)
+            self._tracks.append(track)
+            self._merge_with_earlier(track)
+            self._start(self._follow(track), FOLLOW)
+            codes += 1
+            if codes == self._config.scheduler.codes_a_search:
+                break
+            window = self._outside_tracks(tried.window)
+            found = self._solver.find(window, tried.motion, tau_us=self._tau_us)
+        not_found = found if isinstance(found, NotFound) else None
+        if not_found is not None:
+            self._clock.add(not_found.timings_ms)
+        end_us = tried.start_us if tried.window is None else tried.window.end_us
+        self._records.append(Searched(tried.start_us, end_us, codes, None if codes else not_found))
 
     def _outside_tracks(self, window: Window) -> Window:
-        """Give a window without the events of the codes that are followed already."""
-        for track in self._tracks:
-            target = track.seen.at(window.middle_us)
+        """Give a window without the events of the codes that are, or were in it, followed already."""
+        lately = (track for track in self._lost if window.start_us < track.detection.time_us)
+        for track in (*self._tracks, *lately):
+            target = track.detection.at(window.middle_us)
             x, y = target.motion.transport(window.x, window.y, window.t)
             u, v, z = (row[0] * x + row[1] * y + row[2] for row in np.linalg.inv(target.pose))
-            half = target.space.size / 2.0
-            reach = half + OUTLINE_MARGIN
-            window = window.keep((np.abs(u / z - half) > reach) | (np.abs(v / z - half) > reach))
+            across, down = target.space.columns / 2.0, target.space.rows / 2.0
+            margin = self._config.scheduler.margin_modules
+            window = window.keep(
+                (np.abs(u / z - across) > across + margin) | (np.abs(v / z - down) > down + margin)
+            )
         return window
 
-    def _follow(self, track: Track) -> None:
-        start, end = track.next_window(self._solver)
-        if not self.events.reaches(end):
-            self._finish(track)
-            return
-        self._windows += 1
-        was_read = track.reading is not None
-        track.follow(self.events, start, end, self._solver)
-        self._motion = track.seen.motion
-        if not was_read:
-            self._settle(track)
-        if track.gone:
-            self._finish(track)
+    # ---- following
 
-    def _settle(self, track: Track) -> None:
-        """Join a code that was just read with an earlier sight of the same one."""
+    def _follow(self, track: Track) -> Asking[None]:
+        """Follow a code until it is lost or the stream ends."""
+        while True:
+            start_us, end_us = track.next_window()
+            window = yield start_us, end_us
+            if not self._events.reaches(end_us):
+                break
+            self._windows += 1
+            track.follow(window)
+            self._motion = track.detection.motion
+            self._merge_with_earlier(track)
+            if track.lost:
+                break
+        self._finish(track)
+        if start_us < self._search_us:  # where one code has gone the next may be
+            self._search_from(start_us)
+
+    def _merge_with_earlier(self, track: Track) -> None:
+        """Give a code its number once it is read, and keep in mind where it is."""
         if track.reading is None:
             return
-        if any(track.seen.tau_us):  # of the sensor and its light, so the next code will lag as much
-            self._tau_us = track.seen.tau_us
-        for k, (earlier, index) in enumerate(self._read):
-            if earlier.reading is not None and earlier.reading.text == track.reading.text:
-                size = earlier.seen.space.size
-                there = earlier.seen.at(track.seen.time_us)
-                x, y, z = np.linalg.inv(track.seen.pose) @ (*there.centre, 1.0)
-                if np.hypot(x / z - size / 2.0, y / z - size / 2.0) < SAME_PLACE * size:
-                    self._read[k] = (track, index)
-                    return
-        self._read.append((track, len(self.readings)))
-        self.readings.append(track.reading)
+        target = track.detection.target
+        if track.code is not None:
+            self._known.moved(track.code, target)
+            return
+        if any(target.tau_us):  # of the sensor and its light, so the next code will lag as much
+            self._tau_us = target.tau_us
+        track.code, again = self._known.merge_with_earlier(track.reading.text, target)
+        if not again:
+            self._records.append(CodeRead(track.code, track.reading))
+        elif all(other.code != track.code for other in self._tracks if other is not track):
+            self._records.append(CodeAgain(track.code, track.first_us))
 
     def _finish(self, track: Track) -> None:
+        """Follow a code no more."""
         self._tracks.remove(track)
-        self._note(track.clock)
-        if track.reading is None:
-            self._unread.append(track)
-            return
-        for known, index in self._read:
-            if known is track:
-                self.readings[index] = replace(self.readings[index], t_last_us=track.last_us)
-
-    def _note(self, clock: StageClock) -> None:
-        self.clock.add(clock.ms)
-
-    def seen(self) -> dict[str, Any]:
-        """Say what was seen, for a report."""
-        first = self.events.first_us or 0
-        return {
-            "events": self.events.pushed,
-            "duration_us": (self.events.last_us or 0) - first,
-            "windows": self._windows,
-            "searches": self._searches,
-            "codes_not_decoded": len(self._unread),
-        }
-
-    def why_nothing(self) -> str:
-        """Say why nothing was read, in words."""
-        if self._unread:
-            best = max(self._unread, key=lambda track: track.seen.score)
-            followed = best.last_us - best.first_us
-            return f"a code was followed over {followed} us but does not decode: {best.why_not}"
-        return str(self._nearest)
+        self._lost.append(track)
+        self._clock.add(track.timings_ms)
+        if track.code is not None:
+            if all(other.code != track.code for other in self._tracks):
+                self._records.append(CodeLeft(track.code, track.last_us))
+        else:
+            assert track.failure is not None
+            self._unread += 1
+            self._records.append(
+                CodeUnread(track.first_us, track.last_us, track.windows, track.detection.score, track.failure)
+            )

@@ -1,0 +1,105 @@
+"""What a stream gives, a record each time something is certain; no record is changed afterwards."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import TypeAlias
+
+from evqr.fit.detection import NotFound
+from evqr.results import CodeReading
+from evqr.symbol.decoded import DecodeFailure
+from evqr.values import Value
+
+
+@dataclass(frozen=True, eq=False)
+class CodeRead(Value):
+    """A code has been read, for the first time.
+
+    Attributes
+    ----------
+    code : int
+        Its number: 0, 1, ... in the order in which codes are read.
+    reading : CodeReading
+        As it is known when the code decodes: ``t_last_us`` is the end of the window with which it did.
+    """
+
+    code: int
+    reading: CodeReading
+
+
+@dataclass(frozen=True)
+class CodeLeft:
+    """A code that was read is seen no more: it has left, or the stream has ended.
+
+    Attributes
+    ----------
+    code : int
+        Its number.
+    t_last_us : int [us]
+        End of the last window that showed it.
+    """
+
+    code: int
+    t_last_us: int
+
+
+@dataclass(frozen=True)
+class CodeAgain:
+    """A code that had left has been found and read again; another `CodeLeft` follows.
+
+    Attributes
+    ----------
+    code : int
+        The number that it had.
+    t_first_us : int [us]
+        Start of the window that showed it again.
+    """
+
+    code: int
+    t_first_us: int
+
+
+@dataclass(frozen=True)
+class CodeUnread:
+    """Something that looked like a code has been followed in vain.
+
+    Attributes
+    ----------
+    t_first_us, t_last_us : int [us]
+        Start of the first window that showed it, and end of the last one.
+    windows : int
+        Windows that showed it.
+    score : float
+        Correlation with the known modules in the last one, 0 to 1.
+    failure : DecodeFailure
+        Why it does not decode.
+    """
+
+    t_first_us: int
+    t_last_us: int
+    windows: int
+    score: float
+    failure: DecodeFailure
+
+
+@dataclass(frozen=True)
+class Searched:
+    """A window has been searched.
+
+    Attributes
+    ----------
+    start_us, end_us : int [us]
+        Its bounds; equal where nothing moves, so that nothing could be searched.
+    codes : int
+        Codes found in it.
+    not_found : NotFound, optional
+        Why there is none.
+    """
+
+    start_us: int
+    end_us: int
+    codes: int
+    not_found: NotFound | None
+
+
+StreamRecord: TypeAlias = CodeRead | CodeLeft | CodeAgain | CodeUnread | Searched

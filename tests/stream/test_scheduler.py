@@ -1,0 +1,272 @@
+"""The loop over event time: the same records however a stream was cut, each as soon as it can be."""
+
+from dataclasses import replace
+from typing import ClassVar
+
+import numpy as np
+import pytest
+from scenes import joined, keep, noise, scene
+from stream_steps import cut_anywhere, cut_every, records_of
+
+from evqr import ReadConfig, read_codes
+from evqr.config import SchedulerConfig
+from evqr.fit.detection import Detection, NotFound, Target
+from evqr.motion import Motion
+from evqr.reason import Reason
+from evqr.search.motion_estimate import MotionEstimate
+from evqr.simulate import CodePlacement
+from evqr.solver import Solver
+from evqr.stream.records import CodeAgain, CodeLeft, CodeRead, CodeUnread, Searched
+from evqr.stream.scheduler import StreamScheduler
+from evqr.symbol import qr
+
+VIEW = {"width": 330, "height": 140, "direction": 0.0}
+
+
+@pytest.fixture(scope="module")
+def solver():
+    return Solver()
+
+
+@pytest.fixture(scope="module")
+def mixed():
+    """Something that is no code, a code that is lost for a while, another of that text, two at once."""
+    decoy = scene(code=False, travel_px=8.0, **VIEW).events
+    code = scene(version=1, module_px=4.0, travel_px=44.0, **VIEW).events
+    again = scene(version=1, module_px=4.0, travel_px=8.0, **VIEW).events
+    codes = (
+        CodePlacement(text="LEFT", version=1, module_px=4.0, angle=20.0, offset_px=(-80.0, 0.0)),
+        CodePlacement(text="RIGHT", version=1, module_px=4.0, angle=60.0, offset_px=(80.0, 0.0)),
+    )
+    two = scene(codes=codes, travel_px=6.0, **VIEW).events
+    parts = (
+        decoy,
+        keep(code, (code.t < 3_000) | (code.t >= 7_500)),
+        replace(again, t=again.t + 9_000),  # where the one before would have been is another place by now
+        two,
+    )
+    return joined(*parts, gap_us=4_000)
+
+
+@pytest.fixture(scope="module")
+def whole(mixed, solver):
+    return records_of([mixed], solver)
+
+
+def kinds(records, *wanted):
+    return [record for record in records if isinstance(record, wanted)]
+
+
+# ---- chunks
+
+
+def test_what_the_mixed_stream_holds(whole):
+    """Or the tests below would compare less than they seem to."""
+    records, statistics = whole
+    texts = [r.reading.text for r in kinds(records, CodeRead)]
+    assert (texts[:2], sorted(texts[2:])) == (["EVQR-07", "EVQR-07"], ["LEFT", "RIGHT"])
+    assert [r.code for r in kinds(records, CodeAgain)] == [0]
+    assert len(kinds(records, CodeLeft)) == 5
+    assert statistics.windows > len(kinds(records, Searched)) - 8  # some are of codes that are followed
+    assert statistics.searches == len(kinds(records, Searched))
+    assert statistics.codes_not_decoded == len(kinds(records, CodeUnread))
+
+
+@pytest.mark.parametrize("cut", ["1 us", "1 ms", "7 us", "anywhere"])
+def test_chunks_of_any_size_give_the_same_records(cut, mixed, whole, solver):
+    chunks = (
+        cut_anywhere(mixed, 60, seed=2)
+        if cut == "anywhere"
+        else cut_every(mixed, {"1 us": 1, "1 ms": 1000, "7 us": 7}[cut])
+    )
+    records, statistics = records_of(chunks, solver)
+    assert records == whole[0]
+    assert statistics == whole[1]
+
+
+@pytest.mark.parametrize("step_us", [50, 1_900])
+def test_steps_of_any_size_give_the_same_records(step_us, mixed, whole, solver):
+    """All events are there, but time goes on bit by bit."""
+    scheduler, records = StreamScheduler([solver], mixed.width, mixed.height), []
+    scheduler.push(mixed)
+    for until in range(int(mixed.t[0]), int(mixed.t[-1]), step_us):
+        records += scheduler.step(until)
+    records += scheduler.close()
+    assert records == whole[0]
+
+
+@pytest.mark.parametrize("most", [1, 4])
+def test_chunks_do_not_matter_where_windows_are_limited(most, mixed):
+    solver = Solver(ReadConfig(max_windows=most))
+    ways = [records_of(chunks, solver) for chunks in ([mixed], cut_every(mixed, 40))]
+    assert ways[0] == ways[1]
+    assert ways[0][1].windows == most
+    assert ways[0][1].events < len(mixed)
+
+
+# ---- as soon as can be
+
+
+class Scripted:
+    """A solver that finds a code at once, and whose later searches ask for 30 ms, in which nothing moves."""
+
+    motion = Motion(np.array([4_000.0, 0.0]))
+
+    def __init__(self):
+        self.config = ReadConfig()
+        self.searches = self.finds = 0
+
+    def window_us(self, motion):
+        return 100
+
+    def motion_at(self, start_us, *, guess=None):
+        self.searches += 1
+        yield start_us, start_us + (100 if self.searches == 1 else 30_000)
+        return MotionEstimate(self.motion, 0.5) if self.searches == 1 else NotFound(Reason.NOTHING_MOVES)
+
+    def find(self, window, motion, *, tau_us=None):
+        self.finds += 1
+        if self.finds > 1:
+            return NotFound(Reason.DISAGREES)
+        target = Target(qr.space(1), np.eye(3), motion.at(window.middle_us))
+        return Detection(target, np.ones(2), 0.9, 1.0, None, 1)
+
+
+class FollowedFor:
+    """Stands in for a track: a window of 100 us each 500 us, lost after so many."""
+
+    followed: ClassVar[list] = []
+
+    def __init__(self, detection, window, solver):
+        self.detection, self.first_us, self.last_us = detection, window.start_us, window.end_us
+        self.code, self.reading, self.failure, self.windows = None, None, NotFound(Reason.NO_CONTENT), 1
+        self.timings_ms = {}
+
+    def next_window(self):
+        return self.last_us + 400, self.last_us + 500
+
+    def follow(self, window):
+        self.last_us = window.end_us
+        self.followed.append(window.end_us)
+
+    @property
+    def lost(self):
+        return len(self.followed) >= 20
+
+
+def test_a_search_that_waits_for_a_long_window_holds_up_no_code_that_is_followed(monkeypatch):
+    monkeypatch.setattr("evqr.stream.scheduler.Track", FollowedFor)
+    monkeypatch.setattr(FollowedFor, "followed", [])
+    events = noise(60_000, 20_000, width=64, height=48)
+    scheduler = StreamScheduler([Scripted()], 64, 48)
+    for chunk in cut_every(events, 10):
+        scheduler.push(chunk)
+        records = scheduler.step()
+        ended = [r for r in records if isinstance(r, CodeUnread)]
+        since = int(chunk.t[-1] - events.t[0])
+        assert len(FollowedFor.followed) == min(20, max(0, (since - 100) // 500))
+        if ended:
+            assert ended[0].t_last_us == events.t[0] + 10_100 <= chunk.t[-1] < events.t[0] + 10_120
+            return
+    pytest.fail("still followed")
+
+
+def test_time_that_passes_without_events_lets_a_code_leave(solver):
+    """A belt that stops: no event comes any more, but the line must hear that the code is gone."""
+    events = scene(travel_px=16.0, version=1).events
+    scheduler = StreamScheduler([solver], events.width, events.height)
+    scheduler.push(events)
+    records = scheduler.step()
+    assert kinds(records, CodeRead)
+    assert not kinds(records, CodeLeft)
+    assert scheduler.step(int(events.t[-1]) + 10) == []
+    (left,) = kinds(scheduler.step(int(events.t[-1]) + 100_000), CodeLeft)
+    assert left.code == 0
+    assert left.t_last_us <= events.t[-1] + 2_000
+
+
+def test_events_after_a_silence_are_read(solver):
+    events = scene(travel_px=16.0, version=1).events
+    scheduler = StreamScheduler([solver], events.width, events.height)
+    scheduler.push(events)
+    scheduler.step(500_000)
+    scheduler.push(replace(events, t=events.t + 500_000))
+    records = scheduler.close()
+    (read,) = kinds(records, CodeRead)
+    assert (read.code, read.reading.text) == (1, "EVQR-07")
+    assert read.reading.t_first_us >= 500_000
+
+
+def test_a_stream_without_events(solver):
+    scheduler = StreamScheduler([solver], 64, 48)
+    assert scheduler.step() == scheduler.step(1_000) == []
+    assert not scheduler.finished
+    assert scheduler.close() == []
+    assert scheduler.finished
+    assert scheduler.statistics.events == 0
+    with pytest.raises(ValueError, match="closed"):
+        scheduler.push(noise(5, 100, width=64, height=48))
+
+
+def test_events_that_come_too_late_are_refused(solver):
+    scheduler = StreamScheduler([solver], 64, 48)
+    scheduler.push(noise(5, 100, width=64, height=48))
+    scheduler.step(5_000)
+    with pytest.raises(ValueError, match="in order of time"):
+        scheduler.push(noise(5, 100, width=64, height=48))
+
+
+def test_memory_is_bounded(solver):
+    """A second of noise in which nothing moves: no more is held than the longest window asks for."""
+    events = noise(400_000, 1_000_000)
+    scheduler = StreamScheduler([solver], events.width, events.height)
+    held = []
+    for chunk in cut_every(events, 5_000):
+        scheduler.push(chunk)
+        scheduler.step()
+        held.append(len(scheduler._events._held.block))
+    assert scheduler.statistics.events == len(events)
+    assert max(held) < 0.3 * len(events)
+
+
+# ---- records
+
+
+def test_records_are_final(whole):
+    """A code is read, and leaves; it may be there again, and leaves again; numbers are given in order."""
+    state, numbers = {}, []
+    for record in whole[0]:
+        if isinstance(record, CodeRead):
+            assert record.code not in state
+            numbers.append(record.code)
+            state[record.code] = "there"
+        elif isinstance(record, CodeAgain):
+            assert state[record.code] == "left"
+            state[record.code] = "there"
+        elif isinstance(record, CodeLeft):
+            assert state[record.code] == "there"
+            state[record.code] = "left"
+    assert numbers == list(range(len(numbers)))
+    assert set(state.values()) == {"left"}
+
+
+def test_searches_say_what_came_of_them(whole):
+    for record in kinds(whole[0], Searched):
+        assert (record.codes == 0) == (record.not_found is not None)
+        assert record.end_us >= record.start_us
+        if record.codes:
+            assert record.end_us > record.start_us
+
+
+def test_reading_a_recording_is_a_fold_over_the_records(mixed, whole):
+    result = read_codes(mixed)
+    read, last = kinds(whole[0], CodeRead), {r.code: r.t_last_us for r in kinds(whole[0], CodeLeft)}
+    expected = [replace(r.reading, t_last_us=last[r.code]) for r in read]
+    assert list(result.readings) == sorted(expected, key=lambda r: r.t_read_us)
+    assert result.seen["searches"] == whole[1].searches
+
+
+def test_codes_in_view_at_once_are_no_more_than_the_settings_say(mixed):
+    solver = Solver(ReadConfig(scheduler=SchedulerConfig(codes_a_search=1)))
+    records, _ = records_of([mixed], solver)
+    assert max(r.codes for r in kinds(records, Searched)) == 1
