@@ -1,6 +1,7 @@
 """The rules for kernels, read from the syntax trees."""
 
 import ast
+import re
 from pathlib import Path
 
 import pytest
@@ -90,3 +91,14 @@ def test_launchers_only_launch(file):
     assert not calls & banned
     methods = (".numpy", ".to_numpy", ".from_numpy", ".assign", ".fill_", ".contiguous")
     assert not [call for call in calls if call.endswith(methods)]
+
+
+SYMBOLOGY = re.compile(r"\b(QR|finder|symbolog\w*|[Ss]tage (one|two)|Aztec|payload)\b", re.ASCII)
+
+
+@pytest.mark.parametrize(
+    "file", sorted(PACKAGE.rglob("*.py")), ids=lambda file: str(file.relative_to(PACKAGE))
+)
+def test_the_package_knows_no_symbology(file):
+    """Kernels are for planar codes of any kind, and for whoever launches them."""
+    assert not SYMBOLOGY.findall(file.read_text())
