@@ -69,7 +69,8 @@ class Value:
     """Base of frozen dataclasses (``eq=False``) whose fields may be arrays and dicts, which are frozen too.
 
     Two are equal when they are of one class and all fields with ``compare`` are equal; equal ones have the
-    same hash.  Fields without ``repr`` are left out of descriptions and of `to_dict`.
+    same hash.  Fields without ``repr`` are left out of descriptions and of `to_dict`, those without
+    ``compare`` of descriptions.
     """
 
     def __post_init__(self) -> None:
@@ -96,7 +97,8 @@ class Value:
         self.__dict__.update(state)
 
     def __str__(self) -> str:
-        shown = ((name, _short(getattr(self, name))) for name in _shown(self))
+        compared = _compared(self)
+        shown = ((name, _short(getattr(self, name))) for name in _shown(self) if name in compared)
         return f"{type(self).__name__}({', '.join(f'{name}={text}' for name, text in shown)})"
 
     def to_dict(self) -> dict[str, Any]:
@@ -126,7 +128,7 @@ def plain(value: Any, digits: int | None = None) -> Any:
     Parameters
     ----------
     value : any
-        Array, enum, bytes (as base64), `Value`, number, text, or mapping and sequence of them.
+        Array, enum, bytes (as base64), dataclass, number, text, or mapping and sequence of them.
     digits : int, optional
         Floats are rounded to so many after the point.
 
@@ -137,6 +139,8 @@ def plain(value: Any, digits: int | None = None) -> Any:
     """
     if isinstance(value, Value):
         return value.to_dict()
+    if dataclasses.is_dataclass(value) and not isinstance(value, type):
+        return {name: plain(getattr(value, name)) for name in _shown(value)}
     if isinstance(value, Enum):
         return plain(value.value)
     if isinstance(value, (np.generic, np.ndarray)):
@@ -199,5 +203,8 @@ def _hashable(value: Any) -> Hashable:
 def _short(value: Any) -> str:
     if isinstance(value, np.ndarray) and value.size > 6:
         return f"{value.dtype} {value.shape}"
-    text = str(value.tolist()) if isinstance(value, np.ndarray) else repr(value)
+    if isinstance(value, np.ndarray):
+        text = str(value.tolist())
+    else:
+        text = str(value) if dataclasses.is_dataclass(value) else repr(plain(value))
     return text if len(text) <= LONGEST_TEXT else text[: LONGEST_TEXT - 3] + "..."

@@ -42,21 +42,43 @@ _NAMED_HEIGHT = re.compile(r"height\W*(\d+)", re.IGNORECASE)
 
 
 class DeclaredUnit(NamedTuple):
-    """The unit of the time stamps as the file or its format states it, and where it does so."""
+    """The unit of the time stamps as the file or its format states it.
+
+    Attributes
+    ----------
+    unit : "s", "ms", "us" or "ns"
+        As stated.
+    reason : str
+        Where it is, in words.
+    """
 
     unit: TimeUnit
     reason: str
 
 
 class DeclaredSensor(NamedTuple):
-    """The sensor's (width, height) as the file states it; `odd` says what had to be decided, or ""."""
+    """The size of the sensor as the file states it.
+
+    Attributes
+    ----------
+    size : (int, int) [px]
+        Width and height.
+    odd : str
+        What had to be decided, or "".
+    """
 
     size: tuple[int, int]
     odd: str = ""
 
 
 class Unclear(NamedTuple):
-    """Something a file says that is not understood: what, and where, in words."""
+    """Something a file says that is not understood.
+
+    Attributes
+    ----------
+    said : str
+        What, and where, in words.
+    """
 
     said: str
 

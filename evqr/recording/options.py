@@ -45,7 +45,25 @@ class RecordingOptions(TypedDict, total=False):
 
 @dataclass(frozen=True, kw_only=True)
 class Asked:
-    """`RecordingOptions`, checked."""
+    """`RecordingOptions`, checked.
+
+    Attributes
+    ----------
+    sensor : (int, int) [px], optional
+        Width and height.
+    time_unit : "s", "ms", "us" or "ns", optional
+        Unit of the stored times.
+    stream : str, optional
+        Which of several event streams.
+    columns : Columns, optional
+        What the columns of a table are.
+    strict : bool
+        Whether the first event that is wrong is refused.
+    start_us, end_us : int [us], optional
+        Events with ``start_us <= t < end_us`` only.
+    chunk_events : int
+        About so many events a chunk.
+    """
 
     sensor: tuple[int, int] | None = None
     time_unit: TimeUnit | None = None

@@ -17,7 +17,17 @@ from .faults import Faults
 
 
 class RawColumns(NamedTuple):
-    """Some consecutive events as stored: any numeric dtype, any unit, any polarity convention, unchecked."""
+    """Some consecutive events as stored: unchecked.
+
+    Attributes
+    ----------
+    t : (E,) number
+        Times, in any unit.
+    x, y : (E,) number
+        Column and row.
+    p : (E,) number
+        Polarity, in any convention.
+    """
 
     t: NDArray[Any]
     x: NDArray[Any]

@@ -146,6 +146,11 @@ class Recording:
         Memory is bounded by the chunk and by what the sensor fires within `ordering.MAX_DISORDER_US`.  Can be
         called again for another pass.
 
+        Yields
+        ------
+        events : EventArray
+            The next chunk.
+
         Raises
         ------
         RecordingError
@@ -182,7 +187,13 @@ class Recording:
         yield from intake.finish()
 
     def read(self) -> EventArray:
-        """All events at once."""
+        """Give all events at once.
+
+        Returns
+        -------
+        events : EventArray
+            Ascending in time.
+        """
         parts = list(self.chunks())
         if len(parts) == 1:
             return parts[0]

@@ -83,7 +83,23 @@ class RecordingInfo:
 
 
 def summarise(recording: Recording) -> RecordingInfo:
-    """Stream through a recording once and count; raises `RecordingError` where streaming does."""
+    """Stream through a recording once and count.
+
+    Parameters
+    ----------
+    recording : Recording
+        As `open_recording` gives it.
+
+    Returns
+    -------
+    info : RecordingInfo
+        What it holds, and what is odd in it.
+
+    Raises
+    ------
+    RecordingError
+        Where streaming does.
+    """
     tally = _Tally(recording.width, recording.height)
     for chunk in recording.chunks():
         tally.add(chunk)

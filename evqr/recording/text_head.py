@@ -45,9 +45,17 @@ _UNIT = re.compile(
 
 
 class Style(NamedTuple):
-    """How values are written in a line."""
+    """How values are written in a line.
 
-    separator: str | None  # None: spaces or tabs
+    Attributes
+    ----------
+    separator : str, optional
+        Between values; None: spaces or tabs.
+    decimal_comma : bool
+        Whether fractions begin with a comma.
+    """
+
+    separator: str | None
     decimal_comma: bool
 
     def cells(self, line: str) -> list[str]:
@@ -90,8 +98,10 @@ class Head(NamedTuple):
         How values are written.
     columns : Columns
         What each column is.
-    sensor, unit
-        As declared, if they are.
+    sensor : DeclaredSensor or Unclear, optional
+        As declared, if it is.
+    unit : DeclaredUnit, optional
+        As declared, if it is.
     whole_times : bool
         Whether no time of the sample has a fraction.
     words : bool

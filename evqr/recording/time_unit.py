@@ -27,13 +27,22 @@ def decide_time_unit(t: NDArray, sensor: tuple[int, int], name: str) -> Declared
 
     Parameters
     ----------
-    t : (E,) integer or float   the first stored stamps, finite and not negative
-    sensor : (width, height) [px]
-    name                        the recording, for the message
+    t : (E,) number
+        The first stored stamps, finite and not negative.
+    sensor : (int, int) [px]
+        Width and height.
+    name : str
+        Of the recording, for the message.
+
+    Returns
+    -------
+    unit : DeclaredUnit
+        With what it was judged by.
 
     Raises
     ------
-    RecordingError   when none or more than one unit is plausible
+    RecordingError
+        When none or more than one unit is plausible.
     """
     pixels = sensor[0] * sensor[1]
     span, last = float(t.max()) - float(t.min()), float(t.max())
