@@ -1,4 +1,8 @@
-"""Poses: where a code of so many modules lies in the image.  No events, no device."""
+"""Poses: where a code of V x U modules lies in the image.  No events, no device.
+
+Code coordinates (u, v) are (column, row) in modules from the outer corner of the top-left module.  The shape
+of a code is (V, U): its rows and columns of modules.
+"""
 
 from __future__ import annotations
 
@@ -8,37 +12,52 @@ import numpy as np
 from numpy.typing import NDArray
 
 
-def outline(pose: NDArray[np.float64], size: int, margin: float = 0.0) -> NDArray[np.float64]:
-    """Corners (4, 2) of a code of ``size`` modules in px: top-left, top-right, bottom-right, bottom-left."""
-    near, far = -margin, size + margin
-    corners = pose @ np.array([[near, far, far, near], [near, near, far, far], [1.0, 1.0, 1.0, 1.0]])
+def outline(pose: NDArray[np.float64], shape: tuple[int, int], margin: float = 0.0) -> NDArray[np.float64]:
+    """Give the corners of a code, with a margin around it.
+
+    Parameters
+    ----------
+    pose : (3, 3) float64
+        Code coordinates to px.
+    shape : (int, int) [modules]
+        Rows and columns of the code.
+    margin : float [modules]
+        Around it.
+
+    Returns
+    -------
+    corners : (4, 2) float64 [px]
+        Top-left, top-right, bottom-right, bottom-left.
+    """
+    near, right, low = -margin, shape[1] + margin, shape[0] + margin
+    corners = pose @ np.array([[near, right, right, near], [near, near, low, low], [1.0, 1.0, 1.0, 1.0]])
     return (corners[:2] / corners[2]).T
 
 
 def at_centre(
-    pose: NDArray[np.float64], size: int
+    pose: NDArray[np.float64], shape: tuple[int, int]
 ) -> tuple[tuple[float, float], tuple[float, float, float, float]]:
     """Centre of a code [px], and the Jacobian there [px a module]: x_u, x_v, y_u, y_v."""
-    c = size / 2.0
+    u, v = shape[1] / 2.0, shape[0] / 2.0
     (a, b, p), (d, e, q), (g, h, r) = pose.tolist()
-    w = c * (g + h) + r
-    x, y = (c * (a + b) + p) / w, (c * (d + e) + q) / w
+    w = g * u + h * v + r
+    x, y = (a * u + b * v + p) / w, (d * u + e * v + q) / w
     return (x, y), ((a - x * g) / w, (b - x * h) / w, (d - y * g) / w, (e - y * h) / w)
 
 
-def module_px(pose: NDArray[np.float64], size: int) -> float:
+def module_px(pose: NDArray[np.float64], shape: tuple[int, int]) -> float:
     """Size of a module at the centre of a code [px]."""
-    _, (x_u, x_v, y_u, y_v) = at_centre(pose, size)
+    _, (x_u, x_v, y_u, y_v) = at_centre(pose, shape)
     return math.sqrt(abs(x_u * y_v - x_v * y_u))
 
 
-def affine_to_code(pose: NDArray[np.float64], size: int) -> NDArray[np.float64]:
+def affine_to_code(pose: NDArray[np.float64], shape: tuple[int, int]) -> NDArray[np.float64]:
     """Give W of the paper, (2, 3): px to modules, integers at their centres.
 
     Perspective is linearised at the code's centre.
     """
-    (x, y), (x_u, x_v, y_u, y_v) = at_centre(pose, size)
+    (x, y), (x_u, x_v, y_u, y_v) = at_centre(pose, shape)
     determinant = x_u * y_v - x_v * y_u
     u_x, u_y, v_x, v_y = y_v / determinant, -x_v / determinant, -y_u / determinant, x_u / determinant
-    c = (size - 1) / 2.0
-    return np.array([[u_x, u_y, c - u_x * x - u_y * y], [v_x, v_y, c - v_x * x - v_y * y]])
+    u, v = (shape[1] - 1) / 2.0, (shape[0] - 1) / 2.0
+    return np.array([[u_x, u_y, u - u_x * x - u_y * y], [v_x, v_y, v - v_x * x - v_y * y]])

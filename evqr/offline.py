@@ -349,7 +349,7 @@ def _window_code(found: Detection, estimate: CodeEstimate, outcome: Decoded | De
         confidence=outcome.confidence if read else None,
         modules=estimate.q,
         motion_px_per_s=found.motion.velocity,
-        affine=affine_to_code(found.pose, found.space.size),
+        affine=affine_to_code(found.pose, found.space.shape),
         stage_one_iterations=found.iterations,
         stage_two_iterations=estimate.iterations,
     )

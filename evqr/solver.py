@@ -23,6 +23,7 @@ from evqr.launched import LAUNCHED
 from evqr.motion import Motion
 from evqr.reason import Reason
 from evqr.search.finder import find_hypotheses
+from evqr.search.hypothesis import Layout
 from evqr.search.motion_estimate import MotionEstimate, estimate_motion, find_motion
 from evqr.search.passes import search_passes
 from evqr.search.screen import batches, screen
@@ -97,26 +98,30 @@ class Solver:
         """
         clock = StageClock()
         best: Detection | NotFound = NotFound(Reason.NOTHING_MOVES)
-        for heading, search_pass in search_passes(window, motion, self.config.finder):
-            found = self._find(window, heading, self.config.lag_us or tau_us, search_pass, clock)
-            best = max(found, best, key=_closeness)
-            if isinstance(best, Detection) and best.score >= self.config.align.good_score:
+        for layout in Layout:
+            if isinstance(best, Detection):
                 break
+            for heading, search_pass in search_passes(window, motion, self.config.finder):
+                found = self._find(window, heading, layout, search_pass, self.config.lag_us or tau_us, clock)
+                best = max(found, best, key=_closeness)
+                if isinstance(best, Detection) and best.score >= self.config.align.good_score:
+                    break
         return replace(best, timings_ms=clock.ms)
 
     def _find(
         self,
         window: Window,
         motion: Motion,
-        tau_us: tuple[float, float] | None,
+        layout: Layout,
         search_pass: SearchPass,
+        tau_us: tuple[float, float] | None,
         clock: StageClock,
     ) -> Detection | NotFound:
-        """Find a code in one pass, along one motion."""
+        """Find a code of one layout in one pass, along one motion."""
         cfg, one, workspace = self.config, self.config.align, self.workspace
         with clock("finder"):
             found = find_hypotheses(
-                window, motion, cfg.finder, workspace=workspace, search_pass=search_pass,
+                window, motion, cfg.finder, workspace=workspace, search_pass=search_pass, layout=layout,
                 lag_px=NO_LAG if tau_us == NO_LAG else None,
             )  # fmt: skip
         if not found.hypotheses:

@@ -107,8 +107,8 @@ def _search(
     poses = [h.pose for h in found.hypotheses if h.space == seen.space]
     if not poses:
         return None
-    size = seen.space.size
-    best = min(poses, key=lambda pose: np.abs(outline(pose, size) - true).max())
+    shape = seen.space.shape
+    best = min(poses, key=lambda pose: np.abs(outline(pose, shape) - true).max())
     return motion, best, seen.space.version
 
 

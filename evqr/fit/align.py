@@ -3,10 +3,11 @@
 The residual of a sample at code coordinates (u, v) is ``e + a_u L_u + a_v L_v``: e the event image seen
 through the pose, L the model (`evqr.fit.model`), and the gain a = (a_u, a_v) the motion in modules times
 contrast over threshold, so that neither contrast nor threshold need be known.  A small affine motion of the
-model changes it by ``G_u (1, u, v), G_v (1, u, v)`` with ``G_u = a_u L_uu + a_v L_uv`` and
-``G_v = a_u L_uv + a_v L_vv``; perspective adds ``G_u uu + G_v uv, G_u uv + G_v vv``.  All of these are linear
-in a with columns that are known beforehand, so the Gauss-Newton matrix comes from a table (`PoseTable.gram`)
-and the image enters by its moments with that table alone (`evqr_kernels`, align_poses).
+model changes it by ``G_u (1, u', v'), G_v (1, u', v')`` with ``G_u = a_u L_uu + a_v L_uv`` and
+``G_v = a_u L_uv + a_v L_vv``; perspective adds ``(G_u w_u + G_v w_v) (u', v')``.  Coordinates are those from
+the centre of the code, over half its size along each axis, or for w over half the longer side.  All of these
+are linear in a with columns that are known beforehand, so the Gauss-Newton matrix comes from a table
+(`PoseTable.gram`) and the image enters by its moments with that table alone (`evqr_kernels`, align_poses).
 """
 
 from __future__ import annotations
@@ -94,12 +95,12 @@ def _terms(tilt: bool) -> tuple[NDArray[np.int32], NDArray[np.int32]]:
 
     Factors: 0 nothing, 1 a_u, 2 a_v, 3 one.
     """
-    uu, uv, vv = 0, 6, 12  # where L_uu, L_uv, L_vv start in the table; behind each: 1, u, v, uu, uv, vv
+    uu, uv, vv = 0, 5, 12  # where L_uu, L_uv, L_vv start in the table
     rows: list[tuple[tuple[int, int], ...]] = [((uu + w, 1), (uv + w, 2)) for w in range(3)]
     rows += [((uv + w, 1), (vv + w, 2)) for w in range(3)]
     if tilt:
-        for first, second in ((3, 4), (4, 5)):
-            rows.append(((uu + first, 1), (uv + first, 2), (uv + second, 1), (vv + second, 2)))
+        for w in (3, 4):  # w_u u', w_u v' with L_uu and L_uv; w_v u', w_v v' with L_uv and L_vv
+            rows.append(((uu + w, 1), (uv + w, 2), (uv + w + 2, 1), (vv + w, 2)))
     rows += [((MOMENTS - 2, 3),), ((MOMENTS - 1, 3),)]
     padded = np.array([[*row, *[(0, 0)] * (4 - len(row))] for row in rows], np.int32)
     return np.ascontiguousarray(padded[..., 0]), np.ascontiguousarray(padded[..., 1])
@@ -192,7 +193,7 @@ def _tables(space: CodeSpace, level: Level, cfg: AlignConfig, workspace: Workspa
     """Give what `align_poses` takes of a level: points, table, gram, terms, factors, settings."""
     table = pose_table(space, level.sigma, level.samples)
     terms, factors = _terms(level.tilt)
-    settings = (*[table.centre] * 2, *[table.scale] * 2, cfg.ridge, cfg.damping, level.tolerance)
+    settings = (*table.centre, *table.scale, cfg.ridge, cfg.damping, level.tolerance)
     return (
         workspace.table(("points", space, level), table.points),
         workspace.table(("table", space, level), table.table),

@@ -59,11 +59,11 @@ class Target(Value):
     @property
     def centre(self) -> NDArray[np.float64]:
         """Centre of the code (2,) [px]."""
-        return np.array(at_centre(self.pose, self.space.size)[0])
+        return np.array(at_centre(self.pose, self.space.shape)[0])
 
     def outline(self, margin: float = 0.0) -> NDArray[np.float64]:
         """Give the corners (4, 2) from the top-left one clockwise, a margin around [modules] -> [px]."""
-        return outline(self.pose, self.space.size, margin)
+        return outline(self.pose, self.space.shape, margin)
 
     def at(self, time_us: float) -> Target:
         """Give where the code is at another time, its motion held."""

@@ -19,21 +19,32 @@ from numpy.typing import NDArray
 
 from evqr.symbol.space import CodeSpace, read_only
 
-QUIET_MODULES = 3
-"""Modules of quiet zone around the symbol that the model covers; the standard demands four."""
+MOST_QUIET_MODULES = 3
+"""Modules of quiet zone around the symbol that the model covers at most; that of a QR code is four wide."""
 
 MOMENTS = 20
-"""Functions in a pose table: {L_uu, L_uv, L_vv} x {1, u, v, uu, uv, vv}, then L_u, L_v."""
+"""Functions in a pose table: see `PoseTable`."""
 
 
 def _phi(z: NDArray[np.float64]) -> NDArray[np.float64]:
     return 0.5 * (1.0 + np.vectorize(math.erf)(z / math.sqrt(2.0)))
 
 
-def lattice(size: int, samples_a_module: int) -> NDArray[np.float64]:
-    """Sample positions along one axis, quiet zone included, in modules from the symbol's edge."""
-    count = (size + 2 * QUIET_MODULES) * samples_a_module
-    return (np.arange(count) + 0.5) / samples_a_module - QUIET_MODULES
+def quiet_modules(space: CodeSpace) -> int:
+    """Give the modules of quiet zone that the model covers: they are light, whatever is printed around."""
+    return min(MOST_QUIET_MODULES, space.quiet_zone)
+
+
+def lattice(size: int, quiet: int, samples_a_module: int) -> NDArray[np.float64]:
+    """Sample positions along one axis of so many modules, quiet zone included [modules from the edge]."""
+    count = (size + 2 * quiet) * samples_a_module
+    return (np.arange(count) + 0.5) / samples_a_module - quiet
+
+
+def lattices(space: CodeSpace, samples_a_module: int) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """Sample positions of a code along u and along v, quiet zone included [modules]."""
+    quiet = quiet_modules(space)
+    return lattice(space.columns, quiet, samples_a_module), lattice(space.rows, quiet, samples_a_module)
 
 
 def profiles(offset: NDArray[np.float64], sigma: float) -> tuple[NDArray[np.float64], ...]:
@@ -54,42 +65,65 @@ def profiles(offset: NDArray[np.float64], sigma: float) -> tuple[NDArray[np.floa
 class PoseTable:
     """What stage one needs of the model, for the samples whose whole footprint lies on known modules.
 
+    Its functions are, with (u', v') the coordinates from the centre over the scale along each axis, and
+    (w_u, w_v) the same over the longer of the scales:
+
+        L_uu {1, u', v', w_u u', w_u v'}                        columns 0 to 4
+        L_uv {1, u', v', w_u u', w_u v', w_v u', w_v v'}                5 to 11
+        L_vv {1, u', v', w_v u', w_v v'}                               12 to 16
+        0, L_u, L_v                                                    17 to 19
+
+    (the 0 makes their number what the vector units like).
+
     Attributes
     ----------
-    points : (S, 2) float32        code coordinates [modules]
-    table : (S, MOMENTS) float32   model functions at the points; their u, v centred, divided by half the size
-    gram : (MOMENTS, MOMENTS)      table^T table
-    centre, scale                  u_centred = (u - centre) / scale [modules]
+    points : (S, 2) float32 [modules]
+        Code coordinates.
+    table : (S, MOMENTS) float32
+        The functions at the points.
+    gram : (MOMENTS, MOMENTS) float64
+        table^T table.
+    centre : (float, float) [modules]
+        Along u and v.
+    scale : (float, float) [modules]
+        Along u and v: half the size of the code.
     """
 
     points: NDArray[np.float32]
     table: NDArray[np.float32]
     gram: NDArray[np.float64]
-    centre: float
-    scale: float
+    centre: tuple[float, float]
+    scale: tuple[float, float]
 
 
 @functools.lru_cache(maxsize=256)
 def pose_table(space: CodeSpace, sigma: float, samples_a_module: int) -> PoseTable:
     """Build the table for a code space, a blur [modules] and a sampling; cached."""
-    size = space.size
-    axis = lattice(size, samples_a_module)
-    b, b1, b2 = profiles(axis[:, None] - np.arange(size), sigma)
+    across, down = lattices(space, samples_a_module)
+    b_u, b_v = (
+        profiles(axis[:, None] - np.arange(size), sigma)
+        for axis, size in ((across, space.columns), (down, space.rows))
+    )
     above_light = np.where(space.known, space.values.astype(np.float64) - 1.0, 0.0)
 
-    near = (np.abs(axis[:, None] - (np.arange(size) + 0.5)) < 1.0).astype(np.float64)
-    use = near @ (~space.known).astype(np.float64) @ near.T < 0.5
+    near_u, near_v = (
+        (np.abs(axis[:, None] - (np.arange(size) + 0.5)) < 1.0).astype(np.float64)
+        for axis, size in ((across, space.columns), (down, space.rows))
+    )
+    use = near_v @ (~space.known).astype(np.float64) @ near_u.T < 0.5
 
-    def of(rows: NDArray[np.float64], columns: NDArray[np.float64]) -> NDArray[np.float64]:
-        return (rows @ above_light @ columns.T)[use]
+    def derivative(of_v: int, of_u: int) -> NDArray[np.float64]:
+        return (b_v[of_v] @ above_light @ b_u[of_u].T)[use]
 
-    l_u, l_v = of(b, b1), of(b1, b)
-    second = (of(b, b2), of(b1, b1), of(b2, b))
-    v, u = (grid[use] for grid in np.meshgrid(axis, axis, indexing="ij"))
-    centre = scale = size / 2.0
-    uc, vc = (u - centre) / scale, (v - centre) / scale
-    weights = (np.ones_like(uc), uc, vc, uc * uc, uc * vc, vc * vc)
-    table = np.stack([s * w for s in second for w in weights] + [l_u, l_v], axis=1)
+    v, u = (grid[use] for grid in np.meshgrid(down, across, indexing="ij"))
+    centre = scale = space.columns / 2.0, space.rows / 2.0
+    along_u, along_v = u - centre[0], v - centre[1]
+    affine = [np.ones_like(u), along_u / scale[0], along_v / scale[1]]
+    tilt_u, tilt_v = ([along / max(scale) * each for each in affine[1:]] for along in (along_u, along_v))
+    seconds = (derivative(0, 2), affine + tilt_u), (derivative(1, 1), affine + tilt_u + tilt_v)
+    seconds = *seconds, (derivative(2, 0), affine + tilt_v)
+    columns = [second * weight for second, weights in seconds for weight in weights]
+    table = np.stack([*columns, np.zeros_like(u), derivative(0, 1), derivative(1, 0)], axis=1)
     return PoseTable(
         points=read_only(np.stack([u, v], axis=1).astype(np.float32)),
         table=read_only(table.astype(np.float32)),

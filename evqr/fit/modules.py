@@ -21,7 +21,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from evqr.config import ModulesConfig
-from evqr.fit.model import QUIET_MODULES, lattice, profiles
+from evqr.fit.model import lattices, profiles, quiet_modules
 from evqr.symbol.space import CodeSpace
 from evqr.values import Value
 from evqr.workspace import Images, Step, Workspace
@@ -45,8 +45,8 @@ class NormalEquations(Value):
         Whose modules they are.
     stencil : (2 REACH + 1, 2 REACH + 1) float64
         A^T A.
-    rhs : (n, n) float64
-        A^T e, quiet zone included: n = r + 2 QUIET_MODULES.
+    rhs : (V + 2 quiet, U + 2 quiet) float64
+        A^T e; ``quiet`` are the modules of quiet zone on each side, `evqr.fit.model.quiet_modules`.
     """
 
     space: CodeSpace
@@ -75,8 +75,10 @@ class CodeEstimate:
 
     Attributes
     ----------
-    q : (r, r) float32    < 0 dark, > 0 light; the known modules have their known value
-    iterations            of conjugate gradients, of all passes
+    q : (V, U) float32
+        < 0 dark, > 0 light; the known modules have their known value.
+    iterations : int
+        Of conjugate gradients, of all passes.
     """
 
     q: NDArray[np.float32]
@@ -106,22 +108,24 @@ class Equations(Step):
         super().__init__(workspace.backend)
         self._space = space
         self._image, self._pose, self._gain = images.device, pose, gain
-        axis = lattice(space.size, cfg.samples)
-        count, modules = len(axis), len(axis) // cfg.samples
+        across, down = lattices(space, cfg.samples)
+        rows, columns = len(down) // cfg.samples, len(across) // cfg.samples
         b, slope, bb, ss, bs = _profile_tables(sigma, cfg.samples)
         mixed = np.outer(bs, bs[::-1])
         self._products = np.outer(bb, ss), np.outer(ss, bb), mixed + mixed.T
-        self._axis, self._profile, self._slope = (
-            workspace.put(f.astype(np.float32)) for f in (axis, b, slope)
+        self._across, self._down, self._profile, self._slope = (
+            workspace.put(f.astype(np.float32)) for f in (across, down, b, slope)
         )
         self._samples = cfg.samples
-        self._scratch = workspace.scratch("code_rhs", B=1, S=count, T=count, samples_a_module=cfg.samples)
-        self._rhs = workspace.mirror((1, modules, modules))
+        self._scratch = workspace.scratch(
+            "code_rhs", B=1, S=len(across), T=len(down), samples_a_module=cfg.samples
+        )
+        self._rhs = workspace.mirror((1, rows, columns))
 
     def launch(self) -> None:
         """Launch the kernels one by one."""
         self._backend.code_rhs(
-            self._image, self._pose, self._axis, self._axis, self._profile, self._slope, self._gain,
+            self._image, self._pose, self._across, self._down, self._profile, self._slope, self._gain,
             self._samples, *self._scratch, self._rhs.device,
         )  # fmt: skip
 
@@ -136,12 +140,9 @@ class Equations(Step):
 @functools.cache
 def _fixed(space: CodeSpace) -> tuple[NDArray[np.int32], NDArray[np.float32]]:
     """Which modules are free, and q - 1 to start from: known values, and the middle where free."""
-    inner = slice(QUIET_MODULES, QUIET_MODULES + space.size)
-    modules = space.size + 2 * QUIET_MODULES
-    free = np.zeros((modules, modules), np.int32)
-    free[inner, inner] = ~space.known
-    start = np.zeros((modules, modules), np.float32)
-    start[inner, inner] = np.where(space.known, space.values - 1.0, -1.0)
+    quiet = quiet_modules(space)
+    free = np.pad(~space.known, quiet).astype(np.int32)
+    start = np.pad(np.where(space.known, space.values - 1.0, -1.0), quiet).astype(np.float32)
     return free, start
 
 
@@ -154,14 +155,15 @@ class Solution(Step):
     def __init__(self, space: CodeSpace, cfg: ModulesConfig, workspace: Workspace) -> None:
         super().__init__(workspace.backend)
         free, self._start = _fixed(space)
-        modules, reach = len(free), 2 * REACH + 1
+        (rows, columns), quiet, reach = free.shape, quiet_modules(space), 2 * REACH + 1
+        self._inner = np.s_[quiet : rows - quiet, quiet : columns - quiet]
         self._cfg, self._free = cfg, workspace.put(free)
-        self._seen, self._q = (workspace.mirror((1, modules, modules)) for _ in range(2))
+        self._seen, self._q = (workspace.mirror((1, rows, columns)) for _ in range(2))
         self._stencil, self._damping = workspace.mirror((1, reach, reach)), workspace.mirror((1,))
-        self._scratch = workspace.scratch("solve_code", B=1, V=modules, U=modules)
-        self._rhs = workspace.empty(1, modules, modules)
+        self._scratch = workspace.scratch("solve_code", B=1, V=rows, U=columns)
+        self._rhs = workspace.empty(1, rows, columns)
         self._iterations = workspace.mirror((1,), np.int32)
-        self._unclear = workspace.mirror((1, modules), np.int32)
+        self._unclear = workspace.mirror((1, rows), np.int32)
         self.run_first = workspace.backend.record(self.launch_first)
 
     def write(self, equations: NormalEquations) -> None:
@@ -207,9 +209,8 @@ class Solution(Step):
         return sum(self._unclear.read()[0].tolist())
 
     def read(self) -> NDArray[np.float32]:
-        """Wait for the device and give the modules (r, r)."""
-        inner = slice(QUIET_MODULES, -QUIET_MODULES)
-        return self._q.read()[0, inner, inner] + np.float32(1.0)
+        """Wait for the device and give the modules (V, U)."""
+        return self._q.read()[0][self._inner] + np.float32(1.0)
 
 
 def solve_modules(equations: NormalEquations, cfg: ModulesConfig, *, workspace: Workspace) -> CodeEstimate:
@@ -223,7 +224,7 @@ def solve_modules(equations: NormalEquations, cfg: ModulesConfig, *, workspace: 
     step = workspace.once(("code", space, cfg), lambda: Solution(space, cfg, workspace))
     step.write(equations)
     step.run_first()
-    iterations, most_unclear = step.iterations, cfg.unclear * space.size**2
+    iterations, most_unclear = step.iterations, cfg.unclear * space.known.size
     for _ in range(cfg.passes - 1):
         if step.unclear <= most_unclear:
             break

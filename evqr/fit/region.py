@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from evqr.config import AlignConfig
-from evqr.fit.model import QUIET_MODULES
+from evqr.fit.model import quiet_modules
 from evqr.geometry import module_px, outline
 from evqr.symbol.space import CodeSpace
 
@@ -51,8 +51,8 @@ def region_around(
     pose: NDArray[np.float64], space: CodeSpace, cfg: AlignConfig, *, margin_px: float = 0.0
 ) -> Region:
     """Give the region that holds a code and its quiet zone."""
-    corners = outline(pose, space.size, QUIET_MODULES + 1.0)
-    cell = module_px(pose, space.size) / cfg.cells_a_module
+    corners = outline(pose, space.shape, quiet_modules(space) + 1.0)
+    cell = module_px(pose, space.shape) / cfg.cells_a_module
     low = [min(along) - margin_px for along in corners.T.tolist()]
     high = [max(along) + margin_px for along in corners.T.tolist()]
     width, height = (

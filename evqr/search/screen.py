@@ -14,7 +14,8 @@ from numpy.typing import NDArray
 
 from evqr.config import AlignConfig
 from evqr.fit.align import align, coarse_levels
-from evqr.search.finder import Hypothesis, PyramidLevel
+from evqr.search.finder import PyramidLevel
+from evqr.search.hypothesis import Hypothesis
 from evqr.symbol.space import CodeSpace
 from evqr.workspace import Workspace
 
@@ -41,10 +42,11 @@ class Candidate:
 def batches(hypotheses: list[Hypothesis], first: int) -> list[list[Hypothesis]]:
     """Split hypotheses into those tried before the others, ``first`` or a few more, and the others.
 
-    No triple is split: another size of it may agree with a large code well enough to end the search.
+    Those of the same finder patterns stay together: another size may agree with a large code well enough to
+    end the search.
     """
     end = first
-    while 0 < end < len(hypotheses) and hypotheses[end].triple == hypotheses[end - 1].triple:
+    while 0 < end < len(hypotheses) and hypotheses[end].patterns == hypotheses[end - 1].patterns:
         end += 1
     return [batch for batch in (hypotheses[:end], hypotheses[end:]) if batch]
 
@@ -52,7 +54,7 @@ def batches(hypotheses: list[Hypothesis], first: int) -> list[list[Hypothesis]]:
 def screen(
     hypotheses: list[Hypothesis], pyramid: list[PyramidLevel], cfg: AlignConfig, *, workspace: Workspace
 ) -> tuple[list[Candidate], int]:
-    """Refine hypotheses coarsely: those of the best triple, and the others if none of them is clearly a code.
+    """Refine hypotheses coarsely: those of the best finder patterns; the others if none is clearly a code.
 
     Returns
     -------
@@ -64,9 +66,9 @@ def screen(
     levels = [_level_for(guess.pose, pyramid, cfg) for guess in hypotheses]
     candidates: list[Candidate] = []
     iterations = 0
-    # a size and its neighbours agree with a large code nearly alike, so all of a triple are tried
-    first = [k for k, guess in enumerate(hypotheses) if guess.triple == hypotheses[0].triple]
-    others = [k for k, guess in enumerate(hypotheses) if guess.triple != hypotheses[0].triple]
+    # a size and its neighbours agree with a large code nearly alike, so all of some patterns are tried
+    first = [k for k, guess in enumerate(hypotheses) if guess.patterns == hypotheses[0].patterns]
+    others = [k for k, guess in enumerate(hypotheses) if guess.patterns != hypotheses[0].patterns]
     for batch in (first, others):
         groups: dict[tuple[CodeSpace, int], list[int]] = {}
         for k in batch:

@@ -27,6 +27,11 @@ SIZES: Mapping[str, tuple[int, int]] = MappingProxyType(
 )
 
 
+def anchors(version: str) -> tuple[Anchor, ...]:
+    """Return the finder pattern of a version: they all have it at their corner."""
+    return (Anchor(Landmark.FINDER_PATTERN, 3.5, 3.5),)
+
+
 @functools.cache
 def space(version: str) -> CodeSpace:
     """Return the code space of a version.
@@ -44,7 +49,7 @@ def space(version: str) -> CodeSpace:
         version=version,
         known=roles.known,
         values=roles.values,
-        anchors=(Anchor(Landmark.FINDER_PATTERN, 3.5, 3.5),),
+        anchors=anchors(version),
         quiet_zone=QUIET_ZONE,
     )
 

@@ -73,6 +73,12 @@ def _log_contents(data: Symbols, may_end_in_pads: bool) -> float:
 _EVIDENCE = Evidence(log_contents=_log_contents)
 
 
+def anchors(version: int) -> tuple[Anchor, ...]:
+    """Return the finder patterns of a version: at its corner, along u and along v."""
+    near, far = 3.5, size_of(version) - 3.5
+    return tuple(Anchor(Landmark.FINDER_PATTERN, u, v) for u, v in ((near, near), (far, near), (near, far)))
+
+
 @functools.cache
 def space(version: int) -> CodeSpace:
     """Return the code space of a version.
@@ -82,15 +88,13 @@ def space(version: int) -> CodeSpace:
     ValueError
         Not a version from 1 to 40.
     """
-    size, roles = size_of(version), roles_of(version)
-    near, far = 3.5, size - 3.5
+    finders = anchors(version)
+    roles = roles_of(version)
     return CodeSpace(
         symbology=Symbology.QR_CODE,
         version=version,
         known=roles.known,
         values=roles.values,
-        anchors=tuple(
-            Anchor(Landmark.FINDER_PATTERN, u, v) for u, v in ((near, near), (far, near), (near, far))
-        ),
+        anchors=finders,
         quiet_zone=QUIET_ZONE,
     )

@@ -134,6 +134,12 @@ class CodeSpace:
         return f"{self.symbology} {self.version}"
 
     @property
+    def shape(self) -> tuple[int, int]:
+        """Rows and columns of modules (V, U)."""
+        rows, columns = self.known.shape
+        return rows, columns
+
+    @property
     def rows(self) -> int:
         """Modules from top to bottom, V."""
         return self.known.shape[0]

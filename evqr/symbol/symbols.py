@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 from evqr.config import DecodeConfig
 from evqr.symbol import micro_qr, qr
 from evqr.symbol.decoded import Decoded, DecodeFailure, Effort
-from evqr.symbol.space import CodeSpace, Symbology, Version
+from evqr.symbol.space import Anchor, CodeSpace, Symbology, Version
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -27,6 +27,8 @@ class Symbol:
     ----------
     sizes : mapping of version to (int, int) [modules]
         Rows and columns of every version, the smallest first; known without loading anything.
+    anchors : callable
+        Gives what the search looks for in a version, as its code space does, without loading anything.
     space : callable
         Gives the code space of a version.
     decode : callable
@@ -35,14 +37,17 @@ class Symbol:
     """
 
     sizes: Mapping[Any, tuple[int, int]]
+    anchors: Callable[[Any], tuple[Anchor, ...]]
     space: Callable[[Any], CodeSpace]
     decode: Callable[[NDArray[np.float64], CodeSpace, DecodeConfig, Effort], Decoded | DecodeFailure]
 
 
 SYMBOLS: Mapping[Symbology, Symbol] = MappingProxyType(
     {
-        Symbology.QR_CODE: Symbol(sizes=qr.SIZES, space=qr.space, decode=qr.decode),
-        Symbology.MICRO_QR_CODE: Symbol(sizes=micro_qr.SIZES, space=micro_qr.space, decode=micro_qr.decode),
+        Symbology.QR_CODE: Symbol(sizes=qr.SIZES, anchors=qr.anchors, space=qr.space, decode=qr.decode),
+        Symbology.MICRO_QR_CODE: Symbol(
+            sizes=micro_qr.SIZES, anchors=micro_qr.anchors, space=micro_qr.space, decode=micro_qr.decode
+        ),
     }
 )
 

@@ -4,9 +4,6 @@ import math
 
 import numpy as np
 
-QUIET = 3
-"""Modules of quiet zone that are looked at, light and known."""
-
 
 def _box(offset, sigma):
     """Profile of a module and its slope."""
@@ -32,8 +29,8 @@ def _sampled(image, pose, u, v):
     return total
 
 
-def system(image, pose, gain, size, sigma, samples):
-    """Matrix A (S, r r) and vector e (S,) of one window: residuals are e + A (q - 1).
+def system(image, pose, gain, space, sigma, samples):
+    """Matrix A (S, V U) and vector e (S,) of one window: residuals are e + A (q - 1).
 
     Parameters
     ----------
@@ -41,20 +38,25 @@ def system(image, pose, gain, size, sigma, samples):
     pose : (3, 3)   code coordinates to cells
     gain : (2,)
     """
-    axis = (np.arange((size + 2 * QUIET) * samples) + 0.5) / samples - QUIET
-    b, slope = _box(axis[:, None] - np.arange(size), sigma)
-    matrix = gain[0] * np.einsum("ai,bj->abij", b, slope) + gain[1] * np.einsum("ai,bj->abij", slope, b)
-    v, u = (grid.ravel() for grid in np.meshgrid(axis, axis, indexing="ij"))
-    return matrix.reshape(len(u), size * size), _sampled(image, pose, u, v)
+    quiet = min(3, space.quiet_zone)  # light and known
+    down, across = (
+        (np.arange((size + 2 * quiet) * samples) + 0.5) / samples - quiet for size in space.known.shape
+    )
+    b_v, slope_v = _box(down[:, None] - np.arange(space.rows), sigma)
+    b_u, slope_u = _box(across[:, None] - np.arange(space.columns), sigma)
+    along_u, along_v = (np.einsum("ai,bj->abij", *pair) for pair in ((b_v, slope_u), (slope_v, b_u)))
+    v, u = (grid.ravel() for grid in np.meshgrid(down, across, indexing="ij"))
+    matrix = (gain[0] * along_u + gain[1] * along_v).reshape(len(u), space.known.size)
+    return matrix, _sampled(image, pose, u, v)
 
 
 def solve(systems, known, values, damping):
-    """Modules q (r, r) that fit several weighted windows best.
+    """Modules q (V, U) that fit several weighted windows best.
 
     Parameters
     ----------
     systems            of (matrix, vector, weight)
-    known, values      (r, r) bool and their modules
+    known, values      (V, U) bool and their modules
     damping            relative to the largest diagonal entry; pulls the unknown modules to 0
     """
     normal = sum(w * a.T @ a for a, _, w in systems)

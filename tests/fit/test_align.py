@@ -4,10 +4,14 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from rectangles import TALL, WIDE
 from scenes import moved, scene
 
 from evqr.config import AlignConfig
 from evqr.fit.align import align, coarse_levels, escape_side_minimum, fine_levels, shifted
+from evqr.fit.model import profiles
+from evqr.geometry import module_px, outline
+from evqr.symbol import micro_qr
 from evqr.workspace import Images
 
 CONFIG = AlignConfig()
@@ -249,3 +253,28 @@ def test_perspective_is_found_from_an_affine_start(tilt, workspace, see):
     np.testing.assert_allclose(without.pose[0, 2], [0.0, 0.0, 1.0])
     assert seen.modules_off(without.pose[0]) > seen.modules_off(found.pose[0])
     assert found.score[0] >= without.score[0]
+
+
+# ---- codes that are no square
+
+
+@pytest.mark.parametrize("space", [micro_qr.space("M3"), WIDE, TALL], ids=str)
+def test_poses_of_any_shape_are_found(space, workspace):
+    """From an image that is the model itself, seen through a pose that turns and tilts."""
+    sigma, gain = CONFIG.sigma, np.array([0.8, -0.5])
+    pose = np.array([[2.6, -0.9, 40.0], [1.1, 2.3, 20.0], [1.5e-3, -1e-3, 1.0]])
+    y, x = np.mgrid[:100, :120]
+    u, v, z = np.linalg.inv(pose) @ np.stack([x.ravel(), y.ravel(), np.ones(x.size)])
+    b_u, slope_u, _ = profiles((u / z)[:, None] - np.arange(space.columns), sigma)
+    b_v, slope_v, _ = profiles((v / z)[:, None] - np.arange(space.rows), sigma)
+    above_light = np.where(space.known, space.values - 1.0, 0.0)
+    along_u = np.einsum("ni,ij,nj->n", b_v, above_light, slope_u)
+    along_v = np.einsum("ni,ij,nj->n", slope_v, above_light, b_u)
+    seen = -(gain[0] * along_u + gain[1] * along_v).reshape(1, *x.shape)
+    image = Images(workspace.put(seen.astype(np.float32)))
+    rough = pose @ np.array([[1.02, -0.02, 0.3], [0.02, 0.98, -0.25], [0.0, 0.0, 1.0]])
+    found = align(image, rough[None], space, ALL_LEVELS, CONFIG, workspace=workspace)
+    off = np.abs(outline(found.pose[0], space.shape) - outline(pose, space.shape)).max()
+    assert off < 0.1 * module_px(pose, space.shape)
+    assert found.score[0] > 0.97
+    np.testing.assert_allclose(found.gain[0], gain, rtol=0.15)  # looking between cells blurs

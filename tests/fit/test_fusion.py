@@ -65,7 +65,7 @@ def test_information_of_two_windows_is_the_dense_solution_of_both(windows, works
         estimate = fusion.add(equations(seen, gain, workspace), variance)
         image = workspace.get(seen.image.device)[0]
         systems.append(
-            (*dense.system(image, seen.in_cells, gain, 25, ONE.sigma, CONFIG.samples), 1.0 / variance)
+            (*dense.system(image, seen.in_cells, gain, seen.space, ONE.sigma, CONFIG.samples), 1.0 / variance)
         )
     space = qr.space(2)
     exact = dense.solve(systems, space.known, space.values, EXACT.damping_range[0])

@@ -10,7 +10,7 @@ from evqr.fit.align import align, fine_levels
 from evqr.fit.detection import Target
 from evqr.fit.image import depositing
 from evqr.fit.measure import Measure, measure
-from evqr.fit.model import QUIET_MODULES, lattice, profiles
+from evqr.fit.model import lattices, profiles
 from evqr.fit.modules import REACH, SUPPORT, Solution
 from evqr.fit.region import region_around
 from evqr.symbol import qr
@@ -50,16 +50,15 @@ def solving(step, equations, workspace):
     solution.write(equations)
     solution._damping.write(DAMPING * equations.stencil[REACH, REACH])
     profile, slope, _ = profiles((np.arange(SUPPORT * samples) + 0.5) / samples - SUPPORT // 2, one.sigma)
-    axis, profile, slope = (
-        workspace.put(f.astype(np.float32)) for f in (lattice(25, samples), profile, slope)
+    across, down, profile, slope = (
+        workspace.put(f.astype(np.float32)) for f in (*lattices(SPACE, samples), profile, slope)
     )
-    n = 25 + 2 * QUIET_MODULES
-    sizes = {"S": n * samples, "T": n * samples, "samples_a_module": samples}
+    sizes = {"S": len(across), "T": len(down), "samples_a_module": samples}
     scratch = workspace.scratch("code_normal_equations", B=1, **sizes)
 
     def launch():
         workspace.backend.code_normal_equations(
-            step.images.device, step.align.pose, axis, axis, profile, slope, step.align.gain, samples,
+            step.images.device, step.align.pose, across, down, profile, slope, step.align.gain, samples,
             *scratch, solution._stencil.device, solution._seen.device,
         )  # fmt: skip
         solution.launch_first()

@@ -4,9 +4,11 @@ import math
 
 import numpy as np
 import pytest
+from rectangles import TALL, WIDE
 
-from evqr.fit.model import MOMENTS, QUIET_MODULES, lattice, pose_table, profiles
-from evqr.symbol import qr
+from evqr.fit.align import _terms
+from evqr.fit.model import lattice, lattices, pose_table, profiles, quiet_modules
+from evqr.symbol import micro_qr, qr
 
 SIGMAS = [0.25, 0.36, 0.5, 0.9]
 
@@ -22,15 +24,13 @@ def rendered(grid, points, sigma):
         near, far = np.vectorize(math.erf)(z)
         return 0.5 * (near - far)
 
-    modules = np.arange(len(grid))
-    columns = box(points[:, :1] - modules)
-    rows = box(points[:, 1:] - modules)
+    columns = box(points[:, :1] - np.arange(grid.shape[1]))
+    rows = box(points[:, 1:] - np.arange(grid.shape[0]))
     return 1.0 + np.einsum("ni,ij,nj->n", rows, grid - 1.0, columns)
 
 
-def known_only(version):
+def known_only(space):
     """The function patterns, with light in place of everything else."""
-    space = qr.space(version)
     return np.where(space.known, space.values, 1).astype(np.float64)
 
 
@@ -74,64 +74,77 @@ def test_a_profile_is_even_about_its_middle_and_half_at_a_sharp_edge():
 
 @pytest.mark.parametrize("samples", [1, 2, 3])
 def test_lattice_covers_symbol_and_quiet_zone_evenly(samples):
-    axis = lattice(21, samples)
-    assert len(axis) == (21 + 2 * QUIET_MODULES) * samples
+    axis = lattice(21, 3, samples)
+    assert len(axis) == (21 + 2 * 3) * samples
     np.testing.assert_allclose(np.diff(axis), 1 / samples)
-    assert axis[0] + QUIET_MODULES == pytest.approx(0.5 / samples)
+    assert axis[0] + 3 == pytest.approx(0.5 / samples)
     assert axis[0] + axis[-1] == pytest.approx(21.0)
 
 
 # ---- pose tables
 
 
-@pytest.mark.parametrize("version", [1, 2, 7])
+@pytest.mark.parametrize("space", [qr.space(1), qr.space(7), micro_qr.space("M3"), WIDE, TALL], ids=str)
 @pytest.mark.parametrize("sigma", [0.36, 0.9])
-def test_last_columns_are_the_slopes_of_the_rendered_model(version, sigma):
-    table = pose_table(qr.space(version), sigma, 2)
+def test_last_columns_are_the_slopes_of_the_rendered_model(space, sigma):
+    table = pose_table(space, sigma, 2)
     few = some(table, 150)
-    points, grid = table.points[few].astype(np.float64), known_only(version)
+    points, grid = table.points[few].astype(np.float64), known_only(space)
     for column, along in ((18, np.array([STEP, 0.0])), (19, np.array([0.0, STEP]))):
         slope = (rendered(grid, points + along, sigma) - rendered(grid, points - along, sigma)) / (2 * STEP)
         np.testing.assert_allclose(table.table[few, column], slope, atol=1e-5)
 
 
-@pytest.mark.parametrize(("version", "sigma"), [(1, 0.36), (2, 0.36), (2, 0.9), (8, 0.5)])
-def test_the_other_columns_say_how_the_slopes_change_when_the_code_moves(version, sigma):
-    """For a gain a, sum_k a . (L_uk, L_vk) d_k is the change of a . grad L at points that move by d."""
-    table = pose_table(qr.space(version), sigma, 2)
+@pytest.mark.parametrize(
+    ("space", "sigma"),
+    [(qr.space(1), 0.36), (qr.space(2), 0.36), (qr.space(2), 0.9), (WIDE, 0.36), (TALL, 0.5)],
+    ids=str,
+)
+@pytest.mark.parametrize("tilt", [False, True])
+def test_the_other_columns_say_how_the_slopes_change_when_the_code_moves(space, sigma, tilt):
+    """For a gain a, the change of a . grad L at points that move as each parameter of the pose says."""
+    table = pose_table(space, sigma, 2)
     few = some(table, 120)
-    points, grid = table.points[few].astype(np.float64), known_only(version)
-    rows = table.table[few].astype(np.float64).reshape(len(few), MOMENTS)
-    u, v = ((points - table.centre) / table.scale).T
+    points, grid = table.points[few].astype(np.float64), known_only(space)
+    rows = table.table[few].astype(np.float64)
+    off = points - table.centre
+    u, v = (off / table.scale).T
     gain = np.array([0.7, -1.3])
+    by_factor = np.stack([np.zeros(4), [gain[0]] * 4, [gain[1]] * 4, np.ones(4)])
+    still, one = np.zeros_like(u), np.ones_like(u)
+    moves = [(weight, still) for weight in (one, u, v)] + [(still, weight) for weight in (one, u, v)]
+    if tilt:
+        moves += [tuple((off / max(table.scale) * each[:, None]).T) for each in (u, v)]
+    terms, factors = _terms(tilt)
+    assert len(terms) == len(moves) + 2
 
     def along_gain(at):
         h = 1e-3 * gain
         return (rendered(grid, at + h, sigma) - rendered(grid, at - h, sigma)) / 2e-3
 
-    for w, weight in enumerate([np.ones_like(u), u, v, u * u, u * v, v * v]):
-        uu, uv, vv = rows[:, w], rows[:, 6 + w], rows[:, 12 + w]
-        for move, column in (
-            (np.stack([weight, 0.0 * u], axis=1), gain[0] * uu + gain[1] * uv),
-            (np.stack([0.0 * u, weight], axis=1), gain[0] * uv + gain[1] * vv),
-        ):
-            change = (along_gain(points + 1e-3 * move) - along_gain(points - 1e-3 * move)) / 2e-3
-            # third derivatives are below 1.5 / sigma^3, and the steps 1e-3
-            np.testing.assert_allclose(column, change, atol=2e-3)
+    for move, columns, kinds in zip(moves, terms, factors, strict=False):
+        column = (rows[:, columns] * by_factor[kinds, np.arange(4)]).sum(axis=1)
+        step = 1e-3 * np.stack(move, axis=1)
+        change = (along_gain(points + step) - along_gain(points - step)) / 2e-3
+        # third derivatives are below 1.5 / sigma^3, and the steps 1e-3
+        np.testing.assert_allclose(column, change, atol=2e-3)
 
 
-@pytest.mark.parametrize("version", [1, 2, 7, 14])
-def test_points_are_those_whose_footprint_is_known(version):
+@pytest.mark.parametrize("space", [*map(qr.space, (1, 2, 7, 14)), micro_qr.space("M4"), WIDE, TALL], ids=str)
+def test_points_are_those_whose_footprint_is_known(space):
     """All lattice points more than half a module from any unknown module, and no others."""
-    table, space = pose_table(qr.space(version), 0.36, 2), qr.space(version)
-    axis = lattice(space.size, 2)
-    known = np.pad(space.known, QUIET_MODULES + 1, constant_values=True)
-    reach = [np.floor(axis + d).astype(int) + QUIET_MODULES + 1 for d in (-0.49, 0.49)]
-    all_known = np.logical_and.reduce([known[np.ix_(rows, columns)] for rows in reach for columns in reach])
-    v, u = np.meshgrid(axis, axis, indexing="ij")
+    table = pose_table(space, 0.36, 2)
+    across, down = lattices(space, 2)
+    ring = quiet_modules(space) + 1
+    known = np.pad(space.known, ring, constant_values=True)
+    near_u, near_v = (
+        [np.floor(axis + d).astype(int) + ring for d in (-0.49, 0.49)] for axis in (across, down)
+    )
+    all_known = np.logical_and.reduce([known[np.ix_(rows, columns)] for rows in near_v for columns in near_u])
+    v, u = np.meshgrid(down, across, indexing="ij")
     expected = np.stack([u[all_known], v[all_known]], axis=1)
     np.testing.assert_allclose(table.points, expected, atol=1e-5)
-    assert 0 < len(table.points) < len(axis) ** 2
+    assert 0 < len(table.points) < u.size
 
 
 def test_gram_is_the_product_of_the_table_with_itself():

@@ -8,7 +8,7 @@ from steps import deposit, sharpen
 from evqr.config import AlignConfig
 from evqr.events.array import EventArray
 from evqr.events.window import Window
-from evqr.fit.model import QUIET_MODULES
+from evqr.fit.model import quiet_modules
 from evqr.fit.region import Region, region_around
 from evqr.geometry import module_px, outline
 from evqr.motion import Motion
@@ -39,10 +39,10 @@ def centre_of(image):
 
 @pytest.mark.parametrize("pose", [POSE, TILTED], ids=["affine", "tilted"])
 def test_outline_goes_round_from_the_top_left(pose):
-    corners = outline(pose, 25)
-    expected = [pose @ (u, v, 1.0) for u, v in ((0, 0), (25, 0), (25, 25), (0, 25))]
+    corners = outline(pose, SPACE.shape)
+    expected = [pose @ (u, v, 1.0) for u, v in ((0, 0), (25, 0), (SPACE.shape), (0, 25))]
     np.testing.assert_allclose(corners, [(x / z, y / z) for x, y, z in expected])
-    wider = outline(pose, 25, 2.0)
+    wider = outline(pose, SPACE.shape, 2.0)
     np.testing.assert_allclose(wider[0], (pose @ (-2.0, -2.0, 1.0))[:2] / (pose @ (-2.0, -2.0, 1.0))[2])
 
 
@@ -55,18 +55,18 @@ def test_module_size_is_that_of_the_module_in_the_middle(pose):
     )
     x, y = u / z, v / z
     area = 0.5 * abs((x * np.roll(y, -1) - y * np.roll(x, -1)).sum())
-    assert module_px(pose, 25) == pytest.approx(np.sqrt(area) / (2 * h), rel=1e-4)
+    assert module_px(pose, SPACE.shape) == pytest.approx(np.sqrt(area) / (2 * h), rel=1e-4)
 
 
 @pytest.mark.parametrize("margin", [0.0, 4.0])
 @pytest.mark.parametrize("pose", [POSE, TILTED], ids=["affine", "tilted"])
 def test_a_region_holds_the_code_and_its_quiet_zone(pose, margin):
     region = region_around(pose, SPACE, CONFIG, margin_px=margin)
-    corners = outline(pose, 25, QUIET_MODULES)
+    corners = outline(pose, SPACE.shape, quiet_modules(SPACE))
     far = np.array([region.x + region.width * region.cell, region.y + region.height * region.cell])
     assert (corners >= np.array([region.x, region.y]) + margin).all()
     assert (corners <= far - margin).all()
-    assert region.cell == pytest.approx(module_px(pose, 25) / CONFIG.cells_a_module)
+    assert region.cell == pytest.approx(module_px(pose, SPACE.shape) / CONFIG.cells_a_module)
 
 
 def test_cells_count_from_the_centre_of_the_first():

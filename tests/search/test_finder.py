@@ -8,7 +8,8 @@ from scenes import at, corners, middle_us, motion_at, scene, transform, window_o
 
 from evqr.config import FinderConfig
 from evqr.motion import Motion
-from evqr.search.finder import Match, find_hypotheses
+from evqr.search.finder import find_hypotheses
+from evqr.search.triples import Triples
 
 CONFIG = FinderConfig()
 
@@ -140,7 +141,7 @@ def matched(workspace, response, position, module_px, angle):
     peaks = workspace.mirror((1, len(response) + 2, 5))  # with room left
     peaks.host[0, :-2] = np.column_stack([response, position, module_px, angle])
     peaks.push()
-    match = Match(peaks, CONFIG, workspace)
+    match = Triples(peaks, CONFIG, workspace)
     match.run()
     return match.read(CONFIG.passes[-1].hypotheses)
 

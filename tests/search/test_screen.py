@@ -7,7 +7,8 @@ import pytest
 from scenes import at, corners, middle_us, motion_at, moved, scene, window_of
 
 from evqr.config import AlignConfig, FinderConfig
-from evqr.search.finder import Hypothesis, find_hypotheses
+from evqr.search.finder import find_hypotheses
+from evqr.search.hypothesis import Hypothesis
 from evqr.search.screen import batches, screen
 from evqr.symbol import qr
 

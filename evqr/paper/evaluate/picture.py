@@ -46,7 +46,7 @@ def picture_of(outcome: Outcome, time_us: float, sequence: Sequence) -> NDArray[
     if outcome.modules is None or outcome.pose is None:
         return None
     if box is None:
-        corners = outline(outcome.pose, len(outcome.modules), MARGIN)
+        corners = outline(outcome.pose, outcome.modules.shape, MARGIN)
         box = corners.min(axis=0), float(np.ptp(corners, axis=0).max()) / SIZE
     low, step = box
     x, y = np.meshgrid(*(low[:, None] + step * (np.arange(SIZE) + 0.5)))
@@ -63,7 +63,7 @@ def _box(time_us: float, sequence: Sequence) -> tuple[NDArray[np.float64], float
     pose = sequence.pose_at(time_us)
     if pose is None:
         return None
-    corners = outline(pose, len(sequence.truth.modules), MARGIN)
+    corners = outline(pose, sequence.truth.modules.shape, MARGIN)
     side = float(np.ptp(corners, axis=0).max())
     return corners.mean(axis=0) - side / 2, side / SIZE
 

@@ -43,7 +43,7 @@ from numpy.typing import DTypeLike, NDArray
 from evqr.clock import StageClock
 from evqr.events.window import Window
 from evqr.fit.detection import NotFound
-from evqr.fit.model import QUIET_MODULES
+from evqr.fit.model import MOST_QUIET_MODULES as QUIET_MODULES
 from evqr.fit.region import Region
 from evqr.geometry import module_px, outline
 from evqr.motion import Motion
@@ -205,9 +205,9 @@ class Descent:
             return None
         candidates, _ = screen(guesses, found.pyramid, solver.config.align, workspace=workspace)
         # which triple is the code is known from its refined pose; the descent starts from the pose as found
-        size = qr.size_of(self.version)
-        refined = outline(candidates[0].pose, size)
-        pose = min((h.pose for h in guesses), key=lambda p: float(np.abs(outline(p, size) - refined).max()))
+        shape = qr.space(self.version).shape
+        refined = outline(candidates[0].pose, shape)
+        pose = min((h.pose for h in guesses), key=lambda p: float(np.abs(outline(p, shape) - refined).max()))
         return moving.motion, pose
 
 
@@ -338,13 +338,13 @@ class Problem:
         self.known_grid = np.pad(space.values.astype(self._dtype), QUIET_MODULES, constant_values=1)
         self.free = np.pad(~space.known, QUIET_MODULES)
 
-        corners = outline(pose, size, QUIET_MODULES + 1.0)
+        corners = outline(pose, (size, size), QUIET_MODULES + 1.0)
         low, high = np.floor(corners.min(axis=0) - MARGIN_PX), np.ceil(corners.max(axis=0) + MARGIN_PX)
         width, height = (int(extent) + 1 for extent in high - low)
         region = Region(low[0] - 0.5, low[1] - 0.5, 1.0, height, width)
         self._low, self._shape = low, (1, height, width)
         half = size / 2.0
-        self._unit = half * module_px(pose, size)
+        self._unit = half * module_px(pose, (size, size))
         self._centre = (pose @ (half, half, 1.0))[:2] - low
         self._middle = half - 0.5 + QUIET_MODULES  # of the grid, integers at module centres
 

@@ -96,7 +96,7 @@ def test_the_code_is_found_at_any_angle_and_direction(angle, direction, workspac
     assert np.hypot(*(motion - true_motion)) < 0.25 * np.hypot(*true_motion)
     found = find_pose(window, motion, VERSION, epsilon_px=0.8, workspace=workspace)
     assert found is not None
-    assert np.abs(outline(found, 25) - outline(pose, 25)).max() < 1.5 * MODULE_PX
+    assert np.abs(outline(found, (25, 25)) - outline(pose, (25, 25))).max() < 1.5 * MODULE_PX
 
 
 def test_agreement_is_high_at_the_code_only(workspace):
