@@ -33,12 +33,12 @@ def mixed():
     """Something that is no code, a code that is lost for a while, another of that text, two at once."""
     decoy = scene(code=False, travel_px=8.0, **VIEW).events
     code = scene(version=1, module_px=4.0, travel_px=44.0, **VIEW).events
-    again = scene(version=1, module_px=4.0, travel_px=8.0, **VIEW).events
+    again = scene(version=1, module_px=4.0, travel_px=14.0, **VIEW).events
     codes = (
         CodePlacement(text="LEFT", version=1, module_px=4.0, angle=20.0, offset_px=(-80.0, 0.0)),
         CodePlacement(text="RIGHT", version=1, module_px=4.0, angle=60.0, offset_px=(80.0, 0.0)),
     )
-    two = scene(codes=codes, travel_px=6.0, **VIEW).events
+    two = scene(codes=codes, travel_px=14.0, **VIEW).events
     parts = (
         decoy,
         keep(code, (code.t < 3_000) | (code.t >= 7_500)),
@@ -67,7 +67,8 @@ def test_what_the_mixed_stream_holds(whole):
     assert (texts[:2], sorted(texts[2:])) == (["EVQR-07", "EVQR-07"], ["LEFT", "RIGHT"])
     assert [r.code for r in kinds(records, CodeAgain)] == [0]
     assert len(kinds(records, CodeLeft)) == 5
-    assert statistics.windows > len(kinds(records, Searched)) - 8  # some are of codes that are followed
+    searched = [r for r in kinds(records, Searched) if r.end_us > r.start_us]
+    assert statistics.windows >= len(searched) + 5  # those in which a code is followed
     assert statistics.searches == len(kinds(records, Searched))
     assert statistics.codes_not_decoded == len(kinds(records, CodeUnread))
 
