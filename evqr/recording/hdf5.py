@@ -13,11 +13,10 @@ from ..errors import MissingExtra, RecordingError
 from .columns import require_equal_lengths, unit_in_name
 from .declared import DeclaredSensor, DeclaredUnit, Unclear, find_sensor, find_unit, first_of, plain, whole
 from .faults import Faults
-from .hdf5_layout import Column, Layout, find_layout, length_of, name_of, read_block
+from .hdf5_layout import Column, Layout, filters_of, find_layout, is_ecf, length_of, name_of, read_block
 from .options import Asked
 from .source import RawChunks, RawColumns, Source, explained
 
-ECF_FILTER = 0x8ECF  # Prophesee's own compression
 MAX_CHUNK_BYTES = 1 << 28  # a larger one is damage: it could not be read in bounded memory
 MAX_SAID_VALUES = 4  # of a data set that may tell the sensor's size
 
@@ -102,9 +101,9 @@ def _check_readable(column: Column, path: str) -> None:
             f"{path}: {name} must be one-dimensional numbers, got {kind} of shape {dataset.shape};"
             " export the recording again"
         )
-    creation = dataset.id.get_create_plist()
-    for i in range(creation.get_nfilters()):
-        _require_filter(creation.get_filter(i)[0], name, path)
+    if not is_ecf(dataset):
+        for number in filters_of(dataset):
+            _require_filter(number, name, path)
     if dataset.chunks and int(np.prod(dataset.chunks)) * dataset.dtype.itemsize > MAX_CHUNK_BYTES:
         raise RecordingError(
             f"{path}: {name} has chunks of {dataset.chunks[column.along]:,} events, too large to stream;"
@@ -170,11 +169,6 @@ def _written(dataset: h5py.Dataset, along: int, declared: int) -> int:
 def _require_filter(number: int, dataset: str, path: str) -> None:
     if h5py.h5z.filter_avail(number):
         return
-    if number == ECF_FILTER:
-        raise RecordingError(
-            f"{path}: {dataset} is compressed with Prophesee's ECF codec (filter 0x8ECF), which evqr cannot"
-            " decode; convert it to RAW or DAT with the vendor's tools, or repack it without compression"
-        )
     try:
         import hdf5plugin  # noqa: F401  (importing it registers its filters)
     except ImportError as error:
@@ -212,9 +206,8 @@ def _said(thing: Any) -> dict[str, Any]:
 
 
 def _small(name: str, dataset: h5py.Dataset) -> dict[str, Any]:
-    return (
-        {name: dataset[()]} if dataset.shape is not None and int(dataset.size or 0) <= MAX_SAID_VALUES else {}
-    )
+    small = dataset.shape is not None and int(dataset.size or 0) <= MAX_SAID_VALUES
+    return {name: dataset[()]} if small and dataset.dtype.names is None else {}
 
 
 def _sensor(file: h5py.File, layout: Layout) -> DeclaredSensor | Unclear | None:

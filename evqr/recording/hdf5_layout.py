@@ -17,6 +17,7 @@ from numpy.typing import NDArray
 
 from ..errors import RecordingError
 from .columns import DEFAULT_ORDER, Columns, find_columns, require_columns, settle_order
+from .ecf import ECF_FILTER, read_ecf
 from .options import Asked
 from .source import choose_stream
 
@@ -112,7 +113,20 @@ def find_layout(file: h5py.File, path: str, asked: Asked) -> tuple[Layout, list[
 
 def read_block(dataset: h5py.Dataset, along: int, first: int, last: int) -> NDArray[Any]:
     """Read events ``first`` to ``last - 1`` of a data set, one a row."""
+    if is_ecf(dataset):
+        return read_ecf(dataset, first, last)
     return dataset[first:last] if along == 0 else dataset[:, first:last].T
+
+
+def is_ecf(dataset: h5py.Dataset) -> bool:
+    """Whether a data set is compressed as Prophesee does it, and HDF5 has no plugin for that."""
+    return filters_of(dataset) == [ECF_FILTER] and not h5py.h5z.filter_avail(ECF_FILTER)
+
+
+def filters_of(dataset: h5py.Dataset) -> list[int]:
+    """Return the numbers of a data set's filters."""
+    creation = dataset.id.get_create_plist()
+    return [creation.get_filter(i)[0] for i in range(creation.get_nfilters())]
 
 
 def length_of(column: Column) -> int:

@@ -170,22 +170,6 @@ def test_hdf5_filters_that_are_not_there(tmp_path, events, monkeypatch):
     assert 'pip install "evqr[formats]"' in error_of(tmp_path / "a")
 
 
-def test_hdf5_prophesee_codec(tmp_path, events):
-    path = tmp_path / "a"
-    dtype = [("t", "<i8"), ("x", "<u2"), ("y", "<u2"), ("p", "<i2")]
-    with h5py.File(path, "w") as file:
-        creation = h5py.h5p.create(h5py.h5p.DATASET_CREATE)
-        creation.set_chunk((64,))
-        creation.set_filter(0x8ECF, h5py.h5z.FLAG_OPTIONAL)
-        space = h5py.h5s.create_simple((len(events),))
-        h5py.h5d.create(
-            file.create_group("CD").id, b"events", h5py.h5t.py_create(np.dtype(dtype)), space, creation
-        )
-    message = error_of(path, sensor=SENSOR)
-    assert "ECF codec (filter 0x8ECF)" in message
-    assert "convert" in message
-
-
 def test_pickles_are_never_loaded(tmp_path):
     np.save(tmp_path / "a.npy", np.array([{"t": 1}], object), allow_pickle=True)
     assert "pickled objects, which are never loaded" in error_of(tmp_path / "a.npy")
