@@ -5,12 +5,11 @@ No package on PyPI that was tried decodes all its forms.
 A chunk holds up to 65 535 events: their number and how places are stored (32 bits), then all times, all y,
 all x, all polarities, each in runs of equal values.
 
-times       64 bits for the first; then bytes of a step (upper half) and the length of a run (lower half, 15:
-in the
-            next 16 bits).  A step of 15 is no step: the lower half is the next four bits of a longer one
-y           16 bits: y (11) and the length of a run (5, 31: in the next 16 bits)
+times       64 bits for the first; then bytes of a step (upper half) and the length of a run (lower half; 15:
+            it is in the next 16 bits).  A step of 15 is none: the lower half is four bits of a longer one
+y           16 bits: y (11) and the length of a run (5; 31: it is in the next 16 bits)
 x           16 bits: x (11), and which of the next five columns fired too (5, the nearest first)
-polarities  8 bits: polarity (1) and the length of a run (7, 127: in the next 16 bits)
+polarities  8 bits: polarity (1) and the length of a run (7; 127: it is in the next 16 bits)
 
 Where runs are short, x and polarity (12 bits) or y, x and polarity (23 bits in 24) of four events are packed
 into three words instead.
