@@ -15,7 +15,14 @@ HDF5_MAGIC = b"\x89HDF\r\n\x1a\n"
 MATLAB_BLOCK = 512  # MATLAB writes text of this length before HDF5
 
 UNSUPPORTED = {
-    b"#!AER-DAT": "AEDAT before version 4 is not read (its readers disagree on orientation); convert it",
+    b"#!AER-DAT": (
+        "AEDAT before version 3 is not read: its readers disagree on the corner that x and y start from, which"
+        " mirrors codes; write it as text, a line t x y p for each event, with the program that shows it right"
+    ),
+    b"Event Stream": (
+        "Event Stream (.es) is not read; convert it with faery: pip install faery, then"
+        " faery input file IN.es output file OUT.aedat4"
+    ),
     b"\x1f\x8b": "the file is compressed with gzip; unpack it first",
     b"MATLAB 5.0": "MATLAB files before version 7.3 are not read; save it with save(..., '-v7.3')",
 }
@@ -55,6 +62,8 @@ def reader_of(path: str) -> Reader:
         from .numpy_files import NpySource as reader
     elif head.startswith(b"#!AER-DAT4"):
         from .aedat4 import Aedat4Source as reader
+    elif head.startswith(b"#!AER-DAT3"):
+        from .aedat3 import Aedat3Source as reader
     elif head.startswith((b"#ROSBAG V2.0\n", b"\x89MCAP0\r\n", b"SQLite format 3\0")):
         from .rosbag import BagSource as reader
     elif advice := next((told for magic, told in UNSUPPORTED.items() if head.startswith(magic)), None):

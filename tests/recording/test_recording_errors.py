@@ -84,8 +84,9 @@ def test_not_an_event_file(tmp_path, content):
 @pytest.mark.parametrize(
     ("content", "advice"),
     [
-        (b"#!AER-DAT2.0\r\n# comment\r\n", "AEDAT before version 4 is not read"),
-        (b"#!AER-DAT3.1\r\n" + bytes(100), "AEDAT before version 4 is not read"),
+        (b"#!AER-DAT2.0\r\n# comment\r\n", "AEDAT before version 3 is not read"),
+        (b"#!AER-DAT3.1\r\n" + bytes(100), "AEDAT 3 is read as cAER writes it in format RAW"),
+        (b"Event Stream\2\0\0\1", "faery input file IN.es output file OUT.aedat4"),
         (b"MATLAB 5.0 MAT-file, Platform: GLNXA64" + bytes(99), "save it with save(..., '-v7.3')"),
         (b"\x1f\x8b\x08" + bytes(9), "unpack it first"),
     ],

@@ -307,3 +307,46 @@ def test_the_choice_survives_a_process(tmp_path):
 
     choice = pickle.loads(pickle.dumps(StreamChoice("a: holds several", ("x", "y"))))
     assert (str(choice), choice.streams) == ("a: holds several", ("x", "y"))
+
+
+def aedat3(path, packets, header="#Source 1: DVS128"):
+    """Write (type, source, events or bytes, ts_overflow) as AEDAT 3.1."""
+    data = f"#!AER-DAT3.1\r\n#Format: RAW\r\n{header}\r\n#!END-HEADER\r\n".encode()
+    for kind, source, events, overflow in packets:
+        if kind == 1:
+            place = (
+                1 | (events.p > 0) << 1 | events.y.astype(np.uint32) << 2 | events.x.astype(np.uint32) << 17
+            )
+            body = np.stack([place.astype("<u4"), (events.t & 0x7FFFFFFF).astype("<u4")], axis=1).tobytes()
+            count, size = len(events), 8
+        else:
+            body, count, size = events, 1, len(events)
+        data += struct.pack("<hhiiiiii", kind, source, size, 4, overflow, count, count, count) + body
+    path.write_bytes(data)
+
+
+def test_aedat3(tmp_path):
+    path = tmp_path / "a"
+    parts = [EVENTS.cut(i, i + 70) for i in range(0, 400, 70)]
+    aedat3(path, [(0, 1, bytes(32), 0), *((1, 1, part, 0) for part in parts), (3, 1, bytes(36), 0)])
+    for chunk_events in (64, 1 << 20):
+        got, recording = read(path, sensor=(WIDTH, HEIGHT), chunk_events=chunk_events)
+        assert_same_events(got, EVENTS)
+    assert (read(path)[1].width, read(path)[1].height) == (128, 128)
+    (tmp_path / "b").write_bytes(path.read_bytes()[:-50])
+    got, recording = read(tmp_path / "b")
+    assert len(got) == 400  # it was the packet after the last events
+    (tmp_path / "b").write_bytes(path.read_bytes()[:-100])
+    got, recording = read(tmp_path / "b")
+    assert len(got) == 400 - len(parts[-1])
+    assert recording.notes == ("the file is cut short: its last packet is not whole; read up to there",)
+    aedat3(path, [(1, 1, EVENTS, 3)])
+    np.testing.assert_array_equal(read(path)[0].t, EVENTS.t + 3 * 2**31)
+    aedat3(path, [(1, 1, EVENTS, 0), (1, 2, FEW, 0)], "#Source 1: DAVIS240C\r\n#Source 2: DVS128")
+    with pytest.raises(StreamChoice, match=r"event sources \(1, 2\)"):
+        read(path)
+    got, recording = read(path, stream="1")
+    assert (len(got), recording.width, recording.height) == (400, 240, 180)
+    aedat3(path, [(2, 1, bytes(36), 0)])
+    with pytest.raises(RecordingError, match="no packet of polarity events"):
+        read(path)
