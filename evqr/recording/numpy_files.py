@@ -31,58 +31,93 @@ from .source import RawChunks, RawColumns, Source, choose_stream, explained
 MAX_SAID_BYTES = 4096
 SAMPLE_ROWS = 4096
 
-Reader = Callable[[int], NDArray[Any]]
+Opener = Callable[[], IO[bytes]]
 
 
 class _Table(NamedTuple):
-    """An array that holds all four columns: by names of its fields, or by their order."""
+    """An array that holds all four columns: as fields with names, or as columns of a matrix.
+
+    Attributes
+    ----------
+    words : str
+        The layout in words.
+    length : int
+        Rows.
+    fields : mapping | None
+        Columns to fields; None of a matrix.
+    order : Columns
+        What each column of a matrix is.
+    by_column : bool
+        Whether a matrix is stored one column after the other.
+    note : str
+        What had to be decided, or "".
+    """
 
     words: str
+    length: int
     fields: Mapping[str, str] | None
-    order: Columns
+    order: Columns = DEFAULT_ORDER
+    by_column: bool = False
     note: str = ""
-
-    def columns(self, rows: NDArray[Any]) -> RawColumns:
-        if self.fields is not None:
-            return RawColumns(*(rows[self.fields[column]] for column in "txyp"))
-        return RawColumns(*(rows[:, self.order.index(column)] for column in "txyp"))
 
     @property
     def unit(self) -> DeclaredUnit | None:
         return None if self.fields is None else _named_unit(self.fields["t"])
+
+    def reader(
+        self, stack: ExitStack, reopen: Opener, path: str, what: str, faults: Faults | None = None
+    ) -> Callable[[int], RawColumns]:
+        """Return a function that reads the next so many rows of a newly opened array."""
+
+        def opened(**layout: int) -> ArrayReader:
+            return ArrayReader(stack.enter_context(reopen()), path, what, faults, **layout)
+
+        if self.fields is not None:
+            fields, read = self.fields, opened()
+
+            def next_fields(count: int) -> RawColumns:
+                rows = read(count)
+                return RawColumns(*(rows[fields[column]] for column in "txyp"))
+
+            return next_fields
+        width = len(self.order)
+        columns = [self.order.index(column) for column in "txyp"]
+        if self.by_column:
+            parts = [opened(width=width, column=index) for index in columns]
+            return lambda count: RawColumns(*(part(count) for part in parts))
+        matrix = opened(width=width)
+
+        def next_rows(count: int) -> RawColumns:
+            rows = matrix(count)
+            return RawColumns(*(rows[:, index] for index in columns))
+
+        return next_rows
 
 
 class NpySource(Source):
     """One structured array, or a matrix, in an .npy file."""
 
     def __init__(self, path: str, asked: Asked) -> None:
-        with explained(path, "NumPy file"), open(path, "rb") as file:
-            read = ArrayReader(file, path, "the array")
-            self._table = _table(read, path, "the array", asked)
-            if self._table is None:
-                require_columns(read.names, path, "the structured array")
-                raise AssertionError("unreachable")
-        words = f"NumPy {self._table.words} (.npy)"
-        super().__init__(
-            path,
-            words,
-            n_events=read.length,
-            unit=self._table.unit,
-            notes=(self._table.note,) * bool(self._table.note),
-        )
+        with explained(path, "NumPy file"):
+            table = _table(lambda: open(path, "rb"), path, "the array", asked)
+        self._table = table
+        notes = (table.note,) * bool(table.note)
+        words = f"NumPy {table.words} (.npy)"
+        super().__init__(path, words, n_events=table.length, unit=table.unit, notes=notes)
 
     def raw_chunks(self, chunk_events: int, faults: Faults) -> RawChunks:
         """Read row by row."""
-        assert self._table is not None
-        with open(self.name, "rb") as file:
+        with ExitStack() as stack:
             with explained(self.name, "NumPy file"):
-                read = ArrayReader(file, self.name, "the array", faults)
+                read = self._table.reader(
+                    stack, lambda: open(self.name, "rb"), self.name, "the array", faults
+                )
             while True:
                 with explained(self.name, "NumPy file"):
-                    rows = read(chunk_events)
-                if not len(rows):
+                    raw = read(chunk_events)
+                if not len(raw.t):
                     return
-                yield self._table.columns(rows)
+                yield raw
 
 
 class NpzSource(Source):
@@ -94,7 +129,7 @@ class NpzSource(Source):
             found = find_columns(members)
             self._table: _Table | None = None
             streams: list[str] = []
-            stream, note = "", ""
+            stream, notes = "", ()
             if len(found) < 4 and (groups := _groups(members)):
                 streams = list(groups)
                 stream = choose_stream(streams, asked.stream, path, "group")
@@ -106,11 +141,10 @@ class NpzSource(Source):
                     require_columns(members, path, "npz file")
                 streams = list(tables)
                 stream = choose_stream(streams, asked.stream, path, "array")
-                self._table, self._member = tables[stream], members[stream]
-                note = self._table.note
-                with archive.open(self._member) as file:
-                    length = ArrayReader(file, path, stream).length
-                words, unit = f"npz {self._table.words} {stream}", self._table.unit
+                table = self._table = tables[stream]
+                self._member = members[stream]
+                notes = (table.note,) * bool(table.note)
+                words, length, unit = f"npz {table.words} {stream}", table.length, table.unit
             else:
                 length = require_equal_lengths(
                     {column: _length(archive, member, path) for column, member in self._columns.items()}, path
@@ -125,7 +159,7 @@ class NpzSource(Source):
             unit=_told_unit(said) or unit,
             stream=stream,
             streams=streams,
-            notes=(note,) * bool(note),
+            notes=notes,
         )
 
     def raw_chunks(self, chunk_events: int, faults: Faults) -> RawChunks:
@@ -133,17 +167,19 @@ class NpzSource(Source):
         with ExitStack() as stack:
             with explained(self.name, "npz file"):
                 archive = stack.enter_context(zipfile.ZipFile(self.name))
-                members = [self._member] if self._table else [self._columns[column] for column in "txyp"]
-                readers = [
-                    ArrayReader(
-                        stack.enter_context(archive.open(member)), self.name, member.removesuffix(".npy")
-                    )
-                    for member in members
-                ]
+                if self._table is not None:
+                    member = self._member
+                    read = self._table.reader(stack, lambda: archive.open(member), self.name, self.stream)
+                else:
+                    parts = [
+                        ArrayReader(stack.enter_context(archive.open(self._columns[c])), self.name, c)
+                        for c in "txyp"
+                    ]
+                    read = lambda count: RawColumns(*(part(count) for part in parts))  # noqa: E731
             for _ in range(0, self.n_events or 0, chunk_events):
                 with explained(self.name, "npz file"):
-                    parts = [read(chunk_events) for read in readers]
-                yield self._table.columns(parts[0]) if self._table else RawColumns(*parts)
+                    raw = read(chunk_events)
+                yield raw
 
 
 class ArrayReader:
@@ -157,9 +193,22 @@ class ArrayReader:
         For messages.
     faults : Faults, optional
         Is told of an array that is cut short, which is an error without it.
+    width : int, optional
+        Columns of a matrix, whose rows are read.
+    column : int, optional
+        Which one to read instead, of a matrix that is stored one column after the other.
     """
 
-    def __init__(self, file: IO[bytes], path: str, what: str, faults: Faults | None = None) -> None:
+    def __init__(
+        self,
+        file: IO[bytes],
+        path: str,
+        what: str,
+        faults: Faults | None = None,
+        *,
+        width: int = 0,
+        column: int | None = None,
+    ) -> None:
         self._file, self._path, self._what, self._faults = file, path, what, faults
         version = np.lib.format.read_magic(file)
         if version == (1, 0):
@@ -175,14 +224,22 @@ class ArrayReader:
                 f"{path}: {what} holds pickled objects, which are never loaded; save plain numbers"
             )
         self.shape = shape
-        # A column may be stored as a matrix of one row or column.
-        flat = len(shape) == 2 and 1 in shape and max(shape) > 1
-        self.width = shape[1] if len(shape) == 2 and not flat else 0
-        self.length = int(np.prod(shape)) if flat or not self.width else shape[0]
-        self.streamable = len(shape) < 2 or flat or (len(shape) == 2 and not self._fortran)
         self.names = self.dtype.names or ()
-        self._row_bytes = self.dtype.itemsize * max(self.width, 1)
+        self.length = matrix_length(shape, width) if width else int(np.prod(shape))
+        self._width = width if column is None else 0
+        self._row_bytes = self.dtype.itemsize * max(self._width, 1)
         self._left = self.length
+        for _ in range(column or 0):
+            _pass_over(file, self.length * self.dtype.itemsize)
+
+    @property
+    def is_vector(self) -> bool:
+        """Whether it is one column, be it stored as a matrix of one row or column."""
+        return len(self.shape) < 2 or (len(self.shape) == 2 and 1 in self.shape)
+
+    def stored_by_column(self, width: int) -> bool:
+        """Whether a matrix of so many columns is stored one column after the other."""
+        return self._fortran == (self.shape[1] == width)
 
     def __call__(self, count: int) -> NDArray[Any]:
         """Return the next so many rows, fewer at the end."""
@@ -200,31 +257,45 @@ class ArrayReader:
         if self._left == 0:
             self._file.read(1)  # lets zipfile meet the end of the member and check its CRC
         rows = np.frombuffer(data, self.dtype)
-        return rows.reshape(-1, self.width) if self.width else rows
+        return rows.reshape(-1, self._width) if self._width else rows
 
 
-def _table(read: ArrayReader, path: str, what: str, asked: Asked) -> _Table | None:
-    """How an array holds all four columns, or None."""
+def matrix_length(shape: tuple[int, ...], width: int) -> int:
+    """Return the rows of a matrix of so many columns, which may be stored transposed; 0 if it is none."""
+    if len(shape) != 2 or width not in shape:
+        return 0
+    length = shape[0] if shape[1] == width else shape[1]
+    return length if shape[1] == width or length > width else 0
+
+
+def _pass_over(file: IO[bytes], count: int) -> None:
+    while count > 0 and (data := file.read(min(count, 1 << 20))):
+        count -= len(data)
+
+
+def _table(reopen: Opener, path: str, what: str, asked: Asked) -> _Table:
+    """How an array holds all four columns; raises `RecordingError` where it does not."""
+    with reopen() as file:
+        read = ArrayReader(file, path, what)
     fields = find_columns(read.names)
     if len(fields) == 4:
-        return _Table("structured array", fields, DEFAULT_ORDER)
+        return _Table("structured array", read.length, fields)
     width = 4 if asked.columns is None else len(asked.columns)
-    if read.names or read.width != width:
-        if len(read.shape) > 1 and not read.names and read.width:
+    length = 0 if read.names else matrix_length(read.shape, width)
+    if not length:
+        if len(read.shape) == 2 and not read.names:
             raise RecordingError(
                 f"{path}: {what} has shape {read.shape}, which leaves open which column is which; say so with"
-                f" --columns t,x,y,p{',-' * (read.width - 4)}, or save t, x, y, p as named columns"
+                " --columns, such as t,x,y,p,- for five, or save t, x, y, p as named columns"
             )
-        return None
-    if not read.streamable:
-        raise RecordingError(f"{path}: {what} is stored column by column; save it in C order")
+        require_columns(read.names, path, f"{what}, structured,")
+    table = _Table("", length, None, asked.columns or DEFAULT_ORDER, read.stored_by_column(width))
     order, told = asked.columns, ""
     if order is None:
-        rows = read(SAMPLE_ROWS)
-        order, told = (
-            settle_order(list(rows.T), asked.sensor, path, what) if len(rows) else (DEFAULT_ORDER, "")
-        )
-    return _Table(f"array N x {width} ({', '.join(order)})", None, order, told)
+        with ExitStack() as stack:
+            sample = table.reader(stack, reopen, path, what)(SAMPLE_ROWS)
+        order, told = settle_order(sample, asked.sensor, path, what)
+    return table._replace(words=f"array N x {width} ({', '.join(order)})", order=order, note=told)
 
 
 def _tables(
@@ -234,17 +305,13 @@ def _tables(
     tables: dict[str, _Table] = {}
     unclear: RecordingError | None = None
     for name, member in members.items():
-        with archive.open(member) as file:
-            try:
+        try:
+            with archive.open(member) as file:
                 read = ArrayReader(file, path, name)
-                if not read.names and (len(read.shape) != 2 or read.length < 2):
-                    continue
-                table = _table(read, path, name, asked)
-            except RecordingError as error:  # a pickle, or a matrix of something else
-                unclear = error
-                continue
-        if table is not None:
-            tables[name] = table
+            if not read.is_vector or read.names:
+                tables[name] = _table(lambda member=member: archive.open(member), path, name, asked)
+        except RecordingError as error:  # a pickle, or a matrix of something else
+            unclear = error
     named = {name: table for name, table in tables.items() if table.fields is not None}
     if not tables and unclear is not None:
         raise unclear

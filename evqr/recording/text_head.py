@@ -147,15 +147,15 @@ def read_head(lines: Sequence[str], path: str, asked: Asked) -> Head:
         if comment:
             said |= {m[1]: m[2] if m[3] is None else f"{m[2]}x{m[3]}" for m in _SAID.finditer(text)}
             unit = unit or _unit_in(text)
-        elif (style := event_style(text)) is not None:
+        elif (style := event_style(text, names)) is not None:
             if names is None and titles and asked.columns is None:
                 _refuse_unknown_names(lines[titles[-1]], style, text, path, titles[-1] + 1)
             passed = _passed_over(titles)
             rows = [
                 values for line in lines[number:] if not is_blank(line) and (values := style.values(line))
             ]
-            columns, told = _columns(rows, names, asked, path, f"header line {names_line + 1}")
             cells = style.cells(text)
+            columns, told = _columns(rows, len(cells), names, asked, path, f"header line {names_line + 1}")
             t, p = columns.index("t"), columns.index("p")
             if names is not None and len(names) == len(cells):
                 named = unit_in_name(names[t])
@@ -173,6 +173,9 @@ def read_head(lines: Sequence[str], path: str, asked: Asked) -> Head:
         elif (size := _size(text)) is not None and sensor is None:
             sensor = DeclaredSensor(size)
             continue
+        elif names is not None and (units := _units_below(text, len(names))):
+            unit = unit or _time_unit_below(names, units)
+            continue
         found = names_in(text)
         if found is not None and len(find_columns(found)) == 4:
             names, names_line = found, number
@@ -189,11 +192,13 @@ def read_head(lines: Sequence[str], path: str, asked: Asked) -> Head:
     raise no_event(path, titles[0] + 1, lines[titles[0]])
 
 
-def event_style(line: str) -> Style | None:
-    """How a line is written if it is an event: at least four values."""
+def event_style(line: str, names: list[str] | None = None) -> Style | None:
+    """How a line is written if it is an event: at least four values, or values below the names t, x, y, p."""
     for style in STYLES:
-        values = style.values(line)
-        if values is not None and len(values) >= 4:
+        cells = style.cells(line)
+        if names is not None and len(cells) == len(names):
+            cells = [cells[names.index(name)] for name in find_columns(names).values()]
+        if len(cells) >= 4 and _values(cells) is not None:
             return style
     return None
 
@@ -207,6 +212,19 @@ def names_in(line: str) -> list[str] | None:
     return (
         None if any(value_of(name) is not None and name.casefold() not in WORDS for name in names) else names
     )
+
+
+def _units_below(line: str, count: int) -> list[str] | None:
+    """Cells of a line below the names that has units for as many columns, or None."""
+    cells = names_in(line) or []
+    units = [parse_unit(cell) for cell in cells]
+    return cells if len(cells) == count and any(units) else None
+
+
+def _time_unit_below(names: list[str], units: list[str]) -> DeclaredUnit | None:
+    cell = units[names.index(find_columns(names)["t"])]
+    unit = parse_unit(cell)
+    return DeclaredUnit(unit, f"{cell!r} below the names says so") if unit else None
 
 
 def is_blank(line: str) -> bool:
@@ -229,11 +247,10 @@ NO_EVENT_ADVICE = "a text recording has t x y p on each line"
 
 
 def _columns(
-    rows: list[list[float]], names: list[str] | None, asked: Asked, path: str, where: str
+    rows: list[list[float]], count: int, names: list[str] | None, asked: Asked, path: str, where: str
 ) -> tuple[Columns, str]:
     """Tell what the columns of the sample are, and a note on it."""
-    count = len(rows[0])
-    table = np.array([row for row in rows if len(row) == count])
+    table = np.array([row for row in rows if len(row) == count] or [[0.0] * count])
     if asked.columns is not None:
         if len(asked.columns) != count:
             raise RecordingError(

@@ -286,6 +286,13 @@ def test_npz_with_several_arrays(tmp_path):
         save(tmp_path / "a.npz", arr_0=matrix, sensor_size=[WIDTH, HEIGHT])
         for chunk_events in (33, 1 << 20):
             assert_same_events(read(tmp_path / "a.npz", chunk_events=chunk_events)[0], EVENTS)
+    for stored in (matrix.T, np.asfortranarray(matrix), np.asfortranarray(matrix.T)):
+        np.save(tmp_path / "a.npy", stored)
+        np.savez(tmp_path / "a.npz", events=stored)
+        for name in ("a.npy", "a.npz"):
+            for chunk_events in (33, 1 << 20):
+                got = read(tmp_path / name, sensor=(WIDTH, HEIGHT), chunk_events=chunk_events)[0]
+                assert_same_events(got, EVENTS)
     np.save(tmp_path / "a.npy", matrix)
     got, recording = read(tmp_path / "a.npy", sensor=(WIDTH, HEIGHT))
     assert_same_events(got, EVENTS)

@@ -248,3 +248,21 @@ def test_lines_that_numpy_does_not_parse(tmp_path, line):
     start = 1_700_000_000_000_000_000
     text = "".join(f"[{start + i * 1000 + 1} {i % 8} 0 1]\n" for i in range(500))
     np.testing.assert_array_equal(read(tmp_path / "a", text)[0].t, start // 1000 + np.arange(500))
+
+
+def test_a_column_of_words_that_is_not_read(tmp_path):
+    for chunk_events in (7, 1 << 20):
+        got, recording = read(
+            tmp_path / "a",
+            "x,y,t,p,label\n" + rows(EVENTS, "{x},{y},{t},{p},a dog"),
+            chunk_events=chunk_events,
+        )
+        assert_same_events(got, EVENTS)
+        assert recording.notes == ("columns that are not read: 'label'",)
+
+
+@pytest.mark.parametrize("units", ["[ns],[px],[px],[-]", "ns,px,px,", "nanoseconds,pixel,pixel,polarity"])
+def test_units_below_the_names(tmp_path, units):
+    got, recording = read(tmp_path / "a", f"t,x,y,p\n{units}\n" + rows(EVENTS, "{t}000,{x},{y},{p}"))
+    assert_same_events(got, EVENTS)
+    assert (recording.time_unit, "below the names" in recording.time_unit_reason) == ("ns", True)
