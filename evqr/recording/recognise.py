@@ -16,8 +16,8 @@ MATLAB_BLOCK = 512  # MATLAB writes text of this length before HDF5
 
 UNSUPPORTED = {
     b"#!AER-DAT": (
-        "AEDAT before version 3 is not read: its readers disagree on the corner where x and y begin, which mirrors"
-        " codes; write it as text, a line t x y p an event, with the program that shows it right"
+        "AEDAT before version 3 is not read: its readers disagree on the corner where x and y begin, which"
+        " mirrors codes; write it as text, a line t x y p an event, with the program that shows it right"
     ),
     b"Event Stream": (
         "Event Stream (.es) is not read; convert it with faery: pip install faery, then"

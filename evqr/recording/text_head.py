@@ -218,11 +218,12 @@ def _units_below(line: str, count: int) -> list[str] | None:
     """Cells of a line below the names that has units for as many columns, or None."""
     cells = names_in(line) or []
     units = [parse_unit(cell) for cell in cells]
-    return cells if len(cells) == count and any(units) else None
+    return cells if count - 1 <= len(cells) <= count and any(units) else None  # the last may be empty
 
 
 def _time_unit_below(names: list[str], units: list[str]) -> DeclaredUnit | None:
-    cell = units[names.index(find_columns(names)["t"])]
+    column = names.index(find_columns(names)["t"])
+    cell = units[column] if column < len(units) else ""
     unit = parse_unit(cell)
     return DeclaredUnit(unit, f"{cell!r} below the names says so") if unit else None
 
