@@ -16,6 +16,7 @@ from evqr.clock import StageClock
 from evqr.events.buffer import EventBuffer
 from evqr.fit.detection import Detection, NotFound
 from evqr.fit.modules import CodeEstimate
+from evqr.fit.outside import outside
 from evqr.geometry import affine_to_code
 from evqr.reason import Reason
 from evqr.recording import Recording, open_recording
@@ -56,22 +57,36 @@ def read_codes(
 
     Parameters
     ----------
-    source      path, `EventArray`, structured array, (t, x, y, p) arrays, or an open `Recording`
-    config      what to do; default `ReadConfig()`
-    backend     "auto", "warp", "numpy", or a registered name
-    device      "cpu", "cuda:0", ...
-    threads     windows searched at once; default 1, at most as many as there are cores
-    progress    called with the event time done and the whole duration, None while unknown [us]
-    opening     what `open_recording` takes: sensor, time_unit, stream, columns, strict, start_us, end_us
+    source : path, EventArray, array, tuple or Recording
+        What `open_recording` takes, or a recording that is open already.
+    config : ReadConfig, optional
+        What to do; default `ReadConfig()`.
+    backend : str
+        "auto", "warp", "taichi", "numpy", or a registered name.
+    device : str
+        "cpu", "cuda:0", ...
+    threads : int, optional
+        Windows searched at once; default 1.
+    progress : callable, optional
+        Called with the event time done and the whole duration, None while unknown [us].
+    **opening : as for `open_recording`
+        Such as ``sensor`` and ``time_unit``.
 
     Returns
     -------
-    ReadResult  READ with the readings in order of time, or NO_READ with the reason
+    result : ReadResult
+        READ with the readings in order of time, or NO_READ with the reason.
 
     Raises
     ------
-    RecordingError, MissingExtra   the source cannot be read
-    BackendError                   the backend or the device is not there
+    RecordingError, MissingExtra
+        The source cannot be read.
+    UsageError
+        An option of `open_recording` makes no sense.
+    BackendError
+        The backend or the device is not there.
+    TypeError, ValueError
+        An argument is of the wrong type, or makes no sense.
     """
     started = time.perf_counter()
     with ExitStack() as stack:
@@ -165,13 +180,26 @@ def read_windows(
 ) -> Iterator[WindowReading]:
     """Read windows spread evenly over a recording, each alone and from cold.
 
-    Parameters are those of `read_codes`.  Windows have the length that the configuration sets, or one that
-    suits the motion at their time; ``config.max_windows`` is their number, without it they follow one
-    another.
+    Windows have the length that the configuration sets, or one that suits the motion at their time;
+    ``config.max_windows`` is their number, without it they follow one another.  Beside a code that was found
+    others are searched for, but not as thoroughly as where there is none.
+
+    Parameters
+    ----------
+    source : path, EventArray, array, tuple or Recording
+        As for `read_codes`.
+    config, backend, device, threads, progress, **opening : as for `read_codes`
+        The same.
 
     Yields
     ------
-    WindowReading   in order of time
+    window : WindowReading
+        In order of time.
+
+    Raises
+    ------
+    RecordingError, MissingExtra, UsageError, BackendError, TypeError, ValueError
+        As for `read_codes`, when the first window is asked for, or later for what is wrong further on.
     """
     with ExitStack() as stack:
         recording, _ = _open(source, opening, stack)
@@ -229,11 +257,15 @@ def _tell(progress: Progress | None, now_us: int, recording: Recording) -> None:
 
 @dataclass(frozen=True)
 class _Start:
-    """A window to read: its number, start and length [us]; no length where it finds its own."""
+    """A window to read: its number, start and length [us]; no length where it finds its own.
+
+    With what was odd about the recording by then.
+    """
 
     index: int
     us: int
     length_us: int | None
+    warnings: tuple[str, ...]
 
 
 class _Feed:
@@ -276,7 +308,7 @@ def _starts(feed: _Feed, recording: Recording, solver: Solver) -> Iterator[_Star
         for index in range(cfg.max_windows):
             start_us = round(first + index * slot)
             feed.load(start_us)
-            yield _Start(index, start_us, cfg.window_us)
+            yield _Start(index, start_us, cfg.window_us, recording.notes)
         return
     start_us = first
     for index in itertools.count():
@@ -287,7 +319,7 @@ def _starts(feed: _Feed, recording: Recording, solver: Solver) -> Iterator[_Star
             moving = events.answer(solver.motion_at(start_us))
             found = isinstance(moving, MotionEstimate)
             length = solver.window_us(moving.motion) if found else cfg.motion.probe_us
-        yield _Start(index, start_us, length)
+        yield _Start(index, start_us, length, recording.notes)
         start_us += length
 
 
@@ -306,22 +338,25 @@ def _read_alone(start: _Start, events: EventBuffer, solver: Solver) -> WindowRea
     if not isinstance(moving, MotionEstimate):
         moving = solver.motion_in(window)
         clock.add(moving.timings_ms)
-    found: Detection | NotFound
-    if isinstance(moving, NotFound):
-        found = moving
-    else:
+    codes: list[WindowCode] = []
+    found = moving
+    if isinstance(moving, MotionEstimate):
+        cfg, left = solver.config.scheduler, window
         found = solver.find(window, moving.motion)
         clock.add(found.timings_ms)
-    codes = ()
-    if isinstance(found, NotFound):
-        status, reason, reason_code = ReadStatus.NO_CODE, str(found), found.reason
-    else:
-        with clock("stage_two"):
-            estimate = solver.solve(found)
-        with clock("decode"):
-            outcome = decode_grid(estimate.q, found.space, config=solver.config.decode, effort="full")
-        codes = (_window_code(found, estimate, outcome),)
+        while isinstance(found, Detection):
+            codes.append(_read_detection(found, solver, clock))
+            if len(codes) == cfg.codes_a_search:
+                break
+            left = outside(left, [found.target], cfg.margin_modules)
+            found = solver.find(left, found.motion, tau_us=found.tau_us, thorough=False)
+            clock.add(found.timings_ms)
+    codes.sort(key=lambda code: code.status is not ReadStatus.READ)  # the sort is stable
+    if codes:
         status, reason, reason_code = codes[0].status, codes[0].reason, codes[0].reason_code
+    else:
+        assert isinstance(found, NotFound)
+        status, reason, reason_code = ReadStatus.NO_CODE, str(found), found.reason
     return WindowReading(
         status=status,
         reason=reason,
@@ -330,9 +365,19 @@ def _read_alone(start: _Start, events: EventBuffer, solver: Solver) -> WindowRea
         t_start_us=window.start_us,
         t_end_us=window.end_us,
         n_events=len(window),
-        codes=codes,
+        codes=tuple(codes),
         compute_ms=clock.total(),
+        warnings=start.warnings,
     )
+
+
+def _read_detection(found: Detection, solver: Solver, clock: StageClock) -> WindowCode:
+    """Read a code that was found."""
+    with clock("stage_two"):
+        estimate = solver.solve(found)
+    with clock("decode"):
+        outcome = decode_grid(estimate.q, found.space, config=solver.config.decode, effort="full")
+    return _window_code(found, estimate, outcome)
 
 
 def _window_code(found: Detection, estimate: CodeEstimate, outcome: Decoded | DecodeFailure) -> WindowCode:

@@ -78,7 +78,12 @@ class Solver:
         return cfg.window_us or motion.window_us(cfg.travel_px, longest_us=cfg.motion.longest_us)
 
     def find(
-        self, window: Window, motion: Motion, *, tau_us: tuple[float, float] | None = None
+        self,
+        window: Window,
+        motion: Motion,
+        *,
+        tau_us: tuple[float, float] | None = None,
+        thorough: bool = True,
     ) -> Detection | NotFound:
         """Find a code in a window from cold.
 
@@ -90,6 +95,9 @@ class Solver:
             Of the code; it is taken to hold at the middle of the window.
         tau_us : (float, float) [us]
             Time constants of the pixels, known from earlier windows; None: estimated, if not configured.
+        thorough : bool
+            False: the motion is sure, and the last of the configured passes, which takes most of the time,
+            is left out.
 
         Returns
         -------
@@ -101,7 +109,8 @@ class Solver:
         for layout in Layout:
             if isinstance(best, Detection):
                 break
-            for heading, search_pass in search_passes(window, motion, self.config.finder):
+            passes = search_passes(window, motion, self.config.finder, thorough=thorough)
+            for heading, search_pass in passes:
                 found = self._find(window, heading, layout, search_pass, self.config.lag_us or tau_us, clock)
                 best = max(found, best, key=_closeness)
                 if isinstance(best, Detection) and best.score >= self.config.align.good_score:

@@ -41,7 +41,7 @@ UNITS = {
 }
 """Endings of names, and the unit in brackets that they ask for."""
 
-TO_CONVERT = {"fit", "offline", "search", "solver", "stream"}
+TO_CONVERT = {"fit", "search", "solver"}
 """Rooms whose docstrings are still to be brought into the dialect."""
 
 EXPORTED = {

@@ -8,9 +8,10 @@ import numpy as np
 import pytest
 from scenes import at, joined, noise, scene
 
-from evqr import ReadConfig, ReadStatus, Solver, read_windows
+from evqr import ReadConfig, ReadStatus, Reason, Solver, read_windows
 from evqr.events.window import make_window
 from evqr.results import WindowReading
+from evqr.simulate import CodePlacement
 
 LONG = {"travel_px": 30.0}
 
@@ -231,3 +232,35 @@ def test_readings_keep_their_numbers_when_more_is_read(made):
     for w, values in zip(found, kept, strict=True):
         for shown, value in zip((w.modules, w.affine, w.motion_px_per_s), values, strict=True):
             np.testing.assert_array_equal(shown, value)
+
+
+def test_all_codes_of_a_window_are_read():
+    codes = (
+        CodePlacement(text="LEFT", version=1, module_px=4.5, angle=20.0, offset_px=(-85.0, 0.0)),
+        CodePlacement(text="RIGHT", version=1, module_px=4.5, angle=60.0, offset_px=(85.0, 0.0)),
+    )
+    found = windows_of(scene(codes=codes, width=420, direction=10.0, **LONG).events, max_windows=4)
+    for window in found:
+        assert sorted(code.text for code in window.codes) == ["LEFT", "RIGHT"]
+        assert window.status is ReadStatus.READ and window.text == window.codes[0].text
+        for code in window.codes:
+            assert (code.symbology, code.version, code.rows, code.columns) == ("QRCode", 1, 21, 21)
+            assert code.ec_level == "M" and code.mask in range(8) and code.confidence > 0.999
+    one = windows_of(scene(codes=codes[:1], width=420, direction=10.0, **LONG).events, max_windows=4)
+    assert [[code.text for code in window.codes] for window in one] == [["LEFT"]] * 4
+
+
+def test_windows_tell_what_is_odd_about_the_recording_by_then(made):
+    t = made.events.t.copy()
+    t[[10, 11]] = t[11] + 3, t[10]
+    shuffled = replace(made.events, t=t)
+    (note,) = {note for w in windows_of(shuffled, max_windows=2) for note in w.warnings}
+    assert "out of order" in note
+
+
+def test_windows_without_a_code_say_why_for_programs_too(made):
+    quiet = replace(made.events, **{name: getattr(made.events, name)[::4000] for name in "txyp"})
+    for window in windows_of(quiet, max_windows=3):
+        assert window.status is ReadStatus.NO_CODE and window.codes == ()
+        assert window.reason_code in (Reason.TOO_FEW_EVENTS, Reason.NOTHING_MOVES)
+        assert window.reason.startswith(window.reason_code.text)

@@ -17,13 +17,12 @@ from concurrent.futures import Executor
 from dataclasses import dataclass, replace
 from typing import NamedTuple
 
-import numpy as np
-
 from evqr.clock import StageClock
 from evqr.events.array import EventArray
 from evqr.events.buffer import Asking, EventBuffer
 from evqr.events.window import Window
 from evqr.fit.detection import Detection, NotFound
+from evqr.fit.outside import outside
 from evqr.motion import Motion
 from evqr.reason import Reason
 from evqr.results import Statistics
@@ -319,16 +318,8 @@ class StreamScheduler:
     def _outside_tracks(self, window: Window) -> Window:
         """Give a window without the events of the codes that are, or were in it, followed already."""
         lately = (track for track in self._lost if window.start_us < track.detection.time_us)
-        for track in (*self._tracks, *lately):
-            target = track.detection.at(window.middle_us)
-            x, y = target.motion.transport(window.x, window.y, window.t)
-            u, v, z = (row[0] * x + row[1] * y + row[2] for row in np.linalg.inv(target.pose))
-            across, down = target.space.columns / 2.0, target.space.rows / 2.0
-            margin = self._config.scheduler.margin_modules
-            window = window.keep(
-                (np.abs(u / z - across) > across + margin) | (np.abs(v / z - down) > down + margin)
-            )
-        return window
+        targets = [track.detection.target for track in (*self._tracks, *lately)]
+        return outside(window, targets, self._config.scheduler.margin_modules)
 
     # ---- following
 
