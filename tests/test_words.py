@@ -41,9 +41,6 @@ ALLOWED = {
     "StageClock", "stage", "stages",  # a stage of the reader, of any number
 }  # fmt: skip
 
-TO_CONVERT = {"offline", "recording", "stream"}
-"""Rooms whose identifiers are still to be renamed."""
-
 FILES = [path for room in ("evqr", "perf") for path in sorted((ROOT / room).rglob("*.py"))]
 
 
@@ -69,14 +66,6 @@ def parts(name):
     return [part.lower() for part in re.findall(r"[A-Z]+(?![a-z])|[A-Z]?[a-z]+", name)]
 
 
-def room_of(path):
-    return (
-        path.relative_to(ROOT).parts[1].removesuffix(".py")
-        if path.relative_to(ROOT).parts[0] == "evqr"
-        else "perf"
-    )
-
-
 def old_words(tree, old):
     for name, line in identifiers(tree):
         if name in OLD_NAMES:
@@ -100,8 +89,6 @@ def test_no_old_word_is_an_identifier(path):
     tree = ast.parse(path.read_text(encoding="utf-8"))
     in_perf = path.relative_to(ROOT).parts[0] == "perf"
     found = [*old_words(tree, {**OLD, **IN_PERF} if in_perf else OLD), *identity_as_a_signal(tree)]
-    if room_of(path) in TO_CONVERT:
-        pytest.skip(f"{len(found)} still")
     assert not found, "\n" + "\n".join(dict.fromkeys(found))
 
 

@@ -54,8 +54,8 @@ class Aedat3Source(Source):
         self._start = len(text) + len(end)
         format = re.search(r"^#\s*Format:\s*(\S+)", lines, re.MULTILINE)
         if not end or (format and format[1] != "RAW"):
-            told = f"its packets are {format[1]}" if end and format else "its header does not end"
-            raise RecordingError(f"{path}: AEDAT 3 is read as cAER writes it in format RAW, and {told}")
+            problem = f"its packets are {format[1]}" if end and format else "its header does not end"
+            raise RecordingError(f"{path}: AEDAT 3 is read as cAER writes it in format RAW, and {problem}")
         named = dict(re.findall(r"^#\s*Source (\d+):\s*(\S+)", lines, re.MULTILINE))
         with explained(path, "AEDAT 3 file"):
             sources = sorted(

@@ -71,9 +71,9 @@ def _matrix(array: NDArray[Any], asked: Asked) -> Source:
             f"{NAME}: an array of {array.dtype} of shape {array.shape} without named columns leaves open"
             ' which is which; pass (t, x, y, p), or columns="t,x,y,p" for an array of four columns'
         )
-    order, told = asked.columns, ""
+    order, remark = asked.columns, ""
     if order is None and len(array):
-        order, told = settle_order(list(array[:SAMPLE_ROWS].T), asked.sensor, NAME, "the array")
+        order, remark = settle_order(list(array[:SAMPLE_ROWS].T), asked.sensor, NAME, "the array")
     order = order or DEFAULT_ORDER
     columns = RawColumns(*(array[:, order.index(column)] for column in "txyp"))
-    return ArraySource(columns, f"array N x {width} ({', '.join(order)})", notes=(told,) * bool(told))
+    return ArraySource(columns, f"array N x {width} ({', '.join(order)})", notes=(remark,) * bool(remark))

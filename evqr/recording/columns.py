@@ -138,11 +138,11 @@ def settle_order(
     if DEFAULT_ORDER in orders:
         return DEFAULT_ORDER, ""
     if len(orders) == 1:
-        told = ", ".join(orders[0])
-        return orders[0], f"columns are taken as {told}: {what} has no names, and no other order fits"
+        taken = ", ".join(orders[0])
+        return orders[0], f"columns are taken as {taken}: {what} has no names, and no other order fits"
     if orders:
-        told = " or ".join(",".join(order) for order in orders)
-        problem = f"could be {told}"
+        possible = " or ".join(",".join(order) for order in orders)
+        problem = f"could be {possible}"
         advice = f"say which: --columns {','.join(orders[0])}"
     else:
         first = ", ".join(f"{column[0]:.10g}" for column in table)
@@ -168,8 +168,8 @@ def require_columns(names: Iterable[str], name: str, where: str) -> dict[str, st
 def require_equal_lengths(lengths: dict[str, int], name: str) -> int:
     """Length of all columns, with an error when they differ."""
     if len(set(lengths.values())) != 1:
-        told = ", ".join(f"{column} has {length:,}" for column, length in lengths.items())
-        raise RecordingError(f"{name}: columns of different length: {told}; export the recording again")
+        counts = ", ".join(f"{column} has {length:,}" for column, length in lengths.items())
+        raise RecordingError(f"{name}: columns of different length: {counts}; export the recording again")
     return next(iter(lengths.values()))
 
 
@@ -197,8 +197,8 @@ def settle_sensor(
     if isinstance(said, Unclear):
         return size, f"{said.said}; {width}x{height} was asked for"
     if said.size != asked:
-        told = f"{said.size[0]}x{said.size[1]}"
-        return size, f"the file says the sensor is {told}; {width}x{height} was asked for"
+        stated = f"{said.size[0]}x{said.size[1]}"
+        return size, f"the file says the sensor is {stated}; {width}x{height} was asked for"
     return size, ""
 
 
@@ -314,8 +314,8 @@ class ColumnChecker:
         fresh = wrong if self._wrong is None else wrong & ~self._wrong
         self._wrong = wrong if self._wrong is None else wrong | self._wrong
         if np.any(fresh):
-            told = f"{what} {values[at]} of event {self._first + at:,} {problem}"
-            self._faults.leave_out(int(np.count_nonzero(fresh)), told, advice)
+            fault = f"{what} {values[at]} of event {self._first + at:,} {problem}"
+            self._faults.leave_out(int(np.count_nonzero(fresh)), fault, advice)
         return np.where(wrong, values.dtype.type(0), values)
 
 

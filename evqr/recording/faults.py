@@ -102,10 +102,10 @@ class Faults:
     @property
     def notes(self) -> tuple[str, ...]:
         """What there is to tell so far, each in one line."""
-        told = list(self._notes)
+        notes = list(self._notes)
         if self.late:
-            told.append(f"{self.late:,} events out of order by up to {self.worst_us:,} us were sorted")
+            notes.append(f"{self.late:,} events out of order by up to {self.worst_us:,} us were sorted")
         if self.left_out:
             events = "1 event was" if self.left_out == 1 else f"{self.left_out:,} events were"
-            told.append(f"{events} wrong and left out, the first: {self._first[0]}")
-        return tuple(told)
+            notes.append(f"{events} wrong and left out, the first: {self._first[0]}")
+        return tuple(notes)

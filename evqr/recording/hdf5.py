@@ -36,7 +36,7 @@ class Hdf5Source(Source):
                     {c: length_of(column) for c, column in columns.items()}, path
                 )
                 self._length, self._cut = _stored(self._layout, declared, path, asked.strict)
-                offset, told = _offset(self._file, self._layout)
+                offset, remark = _offset(self._file, self._layout)
                 super().__init__(
                     path,
                     f"HDF5 {self._layout.words}",
@@ -46,7 +46,7 @@ class Hdf5Source(Source):
                     t_offset_us=offset,
                     stream=self._layout.place,
                     streams=streams,
-                    notes=[note for note in (*notes, self._layout.note, told) if note],
+                    notes=[note for note in (*notes, self._layout.note, remark) if note],
                 )
         except BaseException:
             self._file.close()

@@ -245,14 +245,14 @@ def _fits(layout: Layout, asked: Asked, path: str) -> bool:
 
 
 def _in_order(layout: Layout, asked: Asked, path: str) -> Layout:
-    order, told = _order(layout, asked, path)
+    order, remark = _order(layout, asked, path)
     columns = {column: layout.columns[str(i)] for i, column in enumerate(order) if column != "-"}
-    return replace(layout, words=f"{layout.words} ({', '.join(order)})", columns=columns, note=told)
+    return replace(layout, words=f"{layout.words} ({', '.join(order)})", columns=columns, note=remark)
 
 
 def _with_note(layout: Layout, asked: Asked) -> Layout:
-    told = "--columns is not used: the columns have names" if asked.columns is not None else ""
-    return replace(layout, note=told)
+    remark = "--columns is not used: the columns have names" if asked.columns is not None else ""
+    return replace(layout, note=remark)
 
 
 def _refuse(file: h5py.File, matrices: list[Layout], path: str, asked: Asked) -> None:

@@ -156,7 +156,7 @@ class NpzSource(Source):
             words,
             sensor=find_sensor(said),
             n_events=length,
-            unit=_told_unit(said) or unit,
+            unit=_declared_unit(said) or unit,
             stream=stream,
             streams=streams,
             notes=notes,
@@ -290,12 +290,12 @@ def _table(reopen: Opener, path: str, what: str, asked: Asked) -> _Table:
             )
         require_columns(read.names, path, f"{what}, structured,")
     table = _Table("", length, None, asked.columns or DEFAULT_ORDER, read.stored_by_column(width))
-    order, told = asked.columns, ""
+    order, remark = asked.columns, ""
     if order is None:
         with ExitStack() as stack:
             sample = table.reader(stack, reopen, path, what)(SAMPLE_ROWS)
-        order, told = settle_order(sample, asked.sensor, path, what)
-    return table._replace(words=f"array N x {width} ({', '.join(order)})", order=order, note=told)
+        order, remark = settle_order(sample, asked.sensor, path, what)
+    return table._replace(words=f"array N x {width} ({', '.join(order)})", order=order, note=remark)
 
 
 def _tables(
@@ -351,7 +351,7 @@ def _said(archive: zipfile.ZipFile, members: Mapping[str, str], path: str) -> di
     return said
 
 
-def _told_unit(said: Mapping[str, Any]) -> DeclaredUnit | Unclear | None:
+def _declared_unit(said: Mapping[str, Any]) -> DeclaredUnit | Unclear | None:
     found = find_unit(said, "the file")
     if isinstance(found, DeclaredUnit):
         return DeclaredUnit(found.unit, found.reason.replace(" of the file", " in the file"))

@@ -159,10 +159,12 @@ class WordDecoder:
         every other one is that vector.
         """
         words = self._words
-        looks = (kind == words.off_vector) | (kind == words.on_vector)
+        is_vector = (kind == words.off_vector) | (kind == words.on_vector)
         place = np.arange(len(kind))
-        start = np.maximum.accumulate(np.where(looks & ~np.concatenate([[False], looks[:-1]]), place, 0))
-        opens = looks & ((place - start) % 2 == 0)
+        start = np.maximum.accumulate(
+            np.where(is_vector & ~np.concatenate([[False], is_vector[:-1]]), place, 0)
+        )
+        opens = is_vector & ((place - start) % 2 == 0)
         kind = kind.copy()
         kind[1:][opens[:-1]] = _VECTOR_WORD
         last = len(kind) - 1 if len(kind) and opens[-1] else len(kind)

@@ -66,7 +66,7 @@ def reader_of(path: str) -> Reader:
         from .aedat3 import Aedat3Source as reader
     elif head.startswith((b"#ROSBAG V2.0\n", b"\x89MCAP0\r\n", b"SQLite format 3\0")):
         from .rosbag import BagSource as reader
-    elif advice := next((told for magic, told in UNSUPPORTED.items() if head.startswith(magic)), None):
+    elif advice := next((text for magic, text in UNSUPPORTED.items() if head.startswith(magic)), None):
         raise RecordingError(f"{path}: {advice}")
     elif _has_key(head, RAW_KEYS):
         from .prophesee import open_prophesee as reader
@@ -108,8 +108,8 @@ def _head(path: str) -> bytes:
         with open(path, "rb") as file:
             head = file.read(HEAD_BYTES)
     except OSError as error:
-        told = refusal(error) or f"cannot be read ({error.strerror or error})"
-        raise RecordingError(f"{path}: {told}") from error
+        problem = refusal(error) or f"cannot be read ({error.strerror or error})"
+        raise RecordingError(f"{path}: {problem}") from error
     if not head:
         raise RecordingError(f"{path}: the file is empty (0 bytes); copy or record it again")
     return head

@@ -121,11 +121,11 @@ def choose_stream(names: Sequence[str], wanted: str | None, name: str, what: str
     RecordingError
         When what was asked for is not there.
     """
-    told = ", ".join(names[:12]) + (", ..." if len(names) > 12 else "")
+    listed = ", ".join(names[:12]) + (", ..." if len(names) > 12 else "")
     if wanted is None:
         if len(names) == 1:
             return names[0]
-        message = f"{name}: holds several event {what}s ({told}); choose one of them: --stream {names[0]}"
+        message = f"{name}: holds several event {what}s ({listed}); choose one of them: --stream {names[0]}"
         raise StreamChoice(message, tuple(names))
     if wanted in names:
         return wanted
@@ -134,7 +134,7 @@ def choose_stream(names: Sequence[str], wanted: str | None, name: str, what: str
     if len(ends) == 1:
         return ends[0]
     problem = "fits several" if ends else "is not among the"
-    raise RecordingError(f"{name}: stream {wanted!r} {problem} event {what}s of this file ({told})")
+    raise RecordingError(f"{name}: stream {wanted!r} {problem} event {what}s of this file ({listed})")
 
 
 @contextmanager

@@ -63,10 +63,10 @@ class Recording:
         self._faults = Faults(source.name, strict=asked.strict)
 
         first = self._first_events()
-        size, told = settle_sensor(asked.sensor, source.sensor, source.name)
+        size, remark = settle_sensor(asked.sensor, source.sensor, source.name)
         self.width, self.height = size
-        if told:
-            self._notes.append(told)
+        if remark:
+            self._notes.append(remark)
         good = usable_times(first.t, source.name)
         if asked.strict or np.mean(good) < 0.5:
             self._check(first, DeclaredUnit(asked.time_unit or "us", ""))  # has a word on what is wrong
@@ -79,7 +79,7 @@ class Recording:
                 self._notes.append(
                     f"times are stored as float32, which tells no less than {step_us:.2g} us apart"
                 )
-        self._look_at_end()
+        self._check_end()
 
     @property
     def notes(self) -> tuple[str, ...]:
@@ -117,7 +117,7 @@ class Recording:
         size = self.width, self.height
         return ColumnChecker(self._source.name, size, unit, self._source.t_offset_us, faults, first=first)
 
-    def _look_at_end(self) -> None:
+    def _check_end(self) -> None:
         tail = self._source.raw_tail(SAMPLE_EVENTS)
         if tail is None or not len(tail.t):
             return

@@ -100,9 +100,9 @@ def summarise(recording: Recording) -> RecordingInfo:
     RecordingError
         Where streaming does.
     """
-    tally = _Tally(recording.width, recording.height)
+    counts = _Counts(recording.width, recording.height)
     for chunk in recording.chunks():
-        tally.add(chunk)
+        counts.add(chunk)
     return RecordingInfo(
         path=recording.path,
         format=recording.format,
@@ -110,25 +110,25 @@ def summarise(recording: Recording) -> RecordingInfo:
         streams=recording.streams,
         width=recording.width,
         height=recording.height,
-        events=tally.events,
-        on=tally.on,
-        off=tally.events - tally.on,
-        t_first_us=tally.t_first,
-        t_last_us=tally.t_last,
+        events=counts.events,
+        on=counts.on,
+        off=counts.events - counts.on,
+        t_first_us=counts.t_first,
+        t_last_us=counts.t_last,
         # A recording of one instant is taken to last a microsecond.
-        mean_rate=tally.events * 1e6 / max(tally.t_last - tally.t_first, 1),
-        peak_rate=tally.peak * 1e6 / PEAK_BIN_US,
+        mean_rate=counts.events * 1e6 / max(counts.t_last - counts.t_first, 1),
+        peak_rate=counts.peak * 1e6 / PEAK_BIN_US,
         time_unit=recording.time_unit,
         time_unit_reason=recording.time_unit_reason,
         left_out=recording.counts.left_out,
         late=recording.counts.late,
         epochs=recording.counts.epochs,
         notes=recording.notes,
-        suspicious=tuple(tally.suspicions()),
+        suspicious=tuple(counts.suspicions()),
     )
 
 
-class _Tally:
+class _Counts:
     """Counts that grow chunk by chunk."""
 
     def __init__(self, width: int, height: int) -> None:

@@ -155,7 +155,7 @@ def read_head(lines: Sequence[str], path: str, asked: Asked) -> Head:
                 values for line in lines[number:] if not is_blank(line) and (values := style.values(line))
             ]
             cells = style.cells(text)
-            columns, told = _columns(rows, len(cells), names, asked, path, f"header line {names_line + 1}")
+            columns, remark = _columns(rows, len(cells), names, asked, path, f"header line {names_line + 1}")
             t, p = columns.index("t"), columns.index("p")
             if names is not None and len(names) == len(cells):
                 named = unit_in_name(names[t])
@@ -168,7 +168,7 @@ def read_head(lines: Sequence[str], path: str, asked: Asked) -> Head:
                 unit,
                 all(_is_whole(style, line, t) for line in lines[number:] if not is_blank(line)),
                 any(word in _cell(style, line, p) for line in lines[number:] for word in WORDS),
-                tuple(note for note in (*passed, told) if note),
+                tuple(note for note in (*passed, remark) if note),
             )
         elif (size := _size(text)) is not None and sensor is None:
             sensor = DeclaredSensor(size)
@@ -269,14 +269,14 @@ def _columns(
             )
         found = {name: column for column, name in find_columns(names).items()}
         others = [repr(name) if name else "an index" for name in names if name not in found]
-        told = f"columns that are not read: {', '.join(others)}" if others else ""
-        return tuple(found.get(name, "-") for name in names), told
+        remark = f"columns that are not read: {', '.join(others)}" if others else ""
+        return tuple(found.get(name, "-") for name in names), remark
     if count == 4:
         return settle_order(list(table.T), asked.sensor, path, "the text")
     if count == 5 and _is_index(table[:, 0]):
-        order, told = settle_order(list(table.T[1:]), asked.sensor, path, "the text")
+        order, remark = settle_order(list(table.T[1:]), asked.sensor, path, "the text")
         index = "the first column is taken as an index: it counts the lines"
-        return ("-", *order), f"{index}; {told}" if told else index
+        return ("-", *order), f"{index}; {remark}" if remark else index
     raise RecordingError(
         f"{path}: lines have {count} columns without names; say which are t, x, y and p:"
         f" --columns {','.join(['t', 'x', 'y', 'p', *'-' * (count - 4)])}"

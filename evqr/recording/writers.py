@@ -96,12 +96,12 @@ class Hdf5Writer(Writer):
                 self._create(name, 1)
         self._group["t"].attrs["unit"] = "us"
         for code, fields in truth.items():
-            told = self._file.create_group(code)
+            group = self._file.create_group(code)
             for name, value in fields.items():
                 if np.ndim(value) == 0:
-                    told.attrs[name] = value
+                    group.attrs[name] = value
                 else:
-                    told.create_dataset(name, data=np.asarray(value))
+                    group.create_dataset(name, data=np.asarray(value))
         self.close()
 
     def close(self) -> None:
