@@ -59,6 +59,18 @@ class Solver:
         """Estimate the motion at a time of a stream; from cold, or with a guess of its speed.
 
         It asks for the windows that it takes (`EventBuffer.answer` runs it where all events are there).
+
+        Parameters
+        ----------
+        start_us : int [us]
+            Where its windows start.
+        guess : Motion, optional
+            From an earlier window, for its speed. Default: nothing is known.
+
+        Returns
+        -------
+        found : MotionEstimate or NotFound
+            With its timings.
         """
         clock = StageClock()
         asking = find_motion(start_us, self.config.motion, workspace=self.workspace, guess=guess)
