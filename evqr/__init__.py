@@ -52,15 +52,20 @@ if TYPE_CHECKING:
     from evqr.results import CodeReading, ReadResult, ReadStatus, Statistics, WindowCode, WindowReading
     from evqr.search.motion_estimate import MotionEstimate
     from evqr.solver import Solver
+    from evqr.symbol.gs1 import Gs1Element
+    from evqr.symbol.messages import Message, join_messages
+    from evqr.symbol.payload import CharsetSource, ContentType, Payload, StructuredAppend
     from evqr.symbol.space import Anchor, CodeSpace, Landmark, Symbology
 
 __all__ = [
     "AlignConfig",
     "Anchor",
     "BackendError",
+    "CharsetSource",
     "CodeEstimate",
     "CodeReading",
     "CodeSpace",
+    "ContentType",
     "DecodeConfig",
     "Detection",
     "EventArray",
@@ -68,8 +73,10 @@ __all__ = [
     "EventCounts",
     "EvqrError",
     "FinderConfig",
+    "Gs1Element",
     "LagConfig",
     "Landmark",
+    "Message",
     "MissingExtra",
     "ModulesConfig",
     "Motion",
@@ -77,6 +84,7 @@ __all__ = [
     "MotionEstimate",
     "NormalEquations",
     "NotFound",
+    "Payload",
     "ReadConfig",
     "ReadResult",
     "ReadStatus",
@@ -90,6 +98,7 @@ __all__ = [
     "Solver",
     "Statistics",
     "StreamChoice",
+    "StructuredAppend",
     "Symbology",
     "Target",
     "TimeUnit",
@@ -100,6 +109,7 @@ __all__ = [
     "WindowCode",
     "WindowReading",
     "draw_reading",
+    "join_messages",
     "open_recording",
     "read_codes",
     "read_many",
@@ -171,6 +181,17 @@ _HOME = {
     ),
     "evqr.search.motion_estimate": ("MotionEstimate",),
     "evqr.solver": ("Solver",),
+    "evqr.symbol.gs1": ("Gs1Element",),
+    "evqr.symbol.messages": (
+        "Message",
+        "join_messages",
+    ),
+    "evqr.symbol.payload": (
+        "CharsetSource",
+        "ContentType",
+        "Payload",
+        "StructuredAppend",
+    ),
     "evqr.symbol.space": (
         "Anchor",
         "CodeSpace",

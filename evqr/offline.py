@@ -386,7 +386,7 @@ def _window_code(found: Detection, estimate: CodeEstimate, outcome: Decoded | De
         status=ReadStatus.READ if read else ReadStatus.NO_READ,
         reason="" if read else str(outcome),
         reason_code=None if read else outcome.reason,
-        text=outcome.text if read else None,
+        payload=outcome.payload if read else None,
         symbology=outcome.space.symbology.value,
         version=outcome.space.version,
         ec_level=outcome.ec_level if read else None,

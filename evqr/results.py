@@ -16,6 +16,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from evqr.reason import Reason
+from evqr.symbol.messages import Message, join_messages
+from evqr.symbol.payload import ContentType, Payload
 from evqr.values import Value, plain
 
 
@@ -29,15 +31,15 @@ class ReadStatus(str, Enum):
 
 
 @dataclass(frozen=True, eq=False)
-class CodeReading(Value):
-    """One code that passed, read.
+class CodeReading(Payload):
+    """One code that passed, read: what it says, and where and when.
 
     Attributes
     ----------
-    text : str
-        The payload as text.
-    data : bytes
-        The payload.
+    text, data, symbology_identifier, content_type, eci, charset, charset_source : as in `Payload`
+        What it says.
+    structured_append, warnings : as in `Payload`
+        Which part of a message it is, and what was odd about it.
     symbology : str
         Kind of symbol, by zxing-cpp's names: QRCode, ...
     version : int or str
@@ -66,12 +68,8 @@ class CodeReading(Value):
         The modules as estimated before decoding, same signs.
     compute_ms : mapping of str to float [ms]
         By stage, and "total"; does not count in comparisons.
-    warnings : tuple of str
-        What was odd about the code, in words.
     """
 
-    text: str
-    data: bytes
     symbology: str
     version: int | str
     ec_level: str | None
@@ -87,7 +85,6 @@ class CodeReading(Value):
     modules: NDArray[np.int8] = field(repr=False)
     estimate: NDArray[np.float32] = field(repr=False)
     compute_ms: Mapping[str, float] = field(compare=False)
-    warnings: tuple[str, ...] = ()
 
     @property
     def rows(self) -> int:
@@ -130,7 +127,8 @@ class CodeReading(Value):
             "confidence": plain(self.confidence, 4),
             "errors_corrected": plain(self.errors_corrected),
             "compute_ms": plain(self.compute_ms, 3),
-            "warnings": list(self.warnings),
+            "warnings": [*self.warnings, *([self.gs1_error] if self.gs1_error else [])],
+            **_beside_text(self),
         }
 
 
@@ -146,8 +144,8 @@ class WindowCode(Value):
         Why not, in words; "" when read.
     reason_code : Reason or None
         The same for programs; None when read.
-    text : str or None
-        None when not read.
+    payload : Payload or None
+        What it says; None when not read.
     symbology : str
         Kind of symbol, by zxing-cpp's names: QRCode, ...
     version : int or str
@@ -173,7 +171,7 @@ class WindowCode(Value):
     status: ReadStatus
     reason: str = ""
     reason_code: Reason | None = None
-    text: str | None = None
+    payload: Payload | None = None
     symbology: str
     version: int | str
     ec_level: str | None = None
@@ -184,6 +182,11 @@ class WindowCode(Value):
     affine: NDArray[np.float64]
     stage_one_iterations: int = 0
     stage_two_iterations: int = 0
+
+    @property
+    def text(self) -> str | None:
+        """Its text; None when not read."""
+        return None if self.payload is None else self.payload.text
 
     @property
     def rows(self) -> int:
@@ -207,14 +210,17 @@ class WindowCode(Value):
         record : dict
             Plain values by key; modules are rows of "0" and "1", 1 dark.
         """
+        fields = {("text" if key == "payload" else key): each for key, each in super().to_dict().items()}
         return {
-            **super().to_dict(),
+            **fields,
+            "text": self.text,
             "rows": self.rows,
             "columns": self.columns,
             "confidence": plain(self.confidence, 4),
             "modules": module_rows(self.modules),
             "motion_px_per_s": plain(self.motion_px_per_s, 2),
             "affine": plain(self.affine.ravel(), 8),
+            **_beside_text(self.payload),
         }
 
 
@@ -391,6 +397,11 @@ class ReadResult(Value):
     reason_code: Reason | None = None
     warnings: tuple[str, ...] = ()
 
+    @property
+    def messages(self) -> tuple[Message, ...]:
+        """Messages of which parts were read (structured append), joined where all parts have passed."""
+        return join_messages(self.readings)
+
     def __str__(self) -> str:
         found = ", ".join(map(str, self.readings)) or f"{self.status.value}: {self.reason}"
         return f"{self.source}: {found}" if self.source else found
@@ -403,7 +414,17 @@ class ReadResult(Value):
         record : dict
             Plain values by field; ``readings`` are as `CodeReading.to_dict` has them.
         """
-        return {**super().to_dict(), "compute_ms": plain(self.compute_ms, 3)}
+        record = {**super().to_dict(), "compute_ms": plain(self.compute_ms, 3)}
+        return {**record, "messages": plain(self.messages)}
+
+
+def _beside_text(payload: Payload | None) -> dict[str, Any]:
+    """Return what a symbol says beside its characters, by key of records; None throughout without one."""
+    keys = ("symbology_identifier", "content_type", "eci", "charset", "charset_source", "structured_append")
+    record: dict[str, Any] = {key: plain(getattr(payload, key, None)) for key in keys}
+    if payload is None or payload.content_type is not ContentType.GS1:
+        return {**record, "gs1": None}
+    return {**record, "gs1": plain(payload.gs1)}
 
 
 def module_rows(modules: NDArray[np.floating] | NDArray[np.integer]) -> list[str]:

@@ -12,6 +12,7 @@ from evqr.events.array import EventArray
 from evqr.reason import Reason
 from evqr.recording import save_recording
 from evqr.results import CodeReading, ReadResult, ReadStatus, Statistics, WindowCode, WindowReading
+from evqr.symbol.payload import Payload
 
 RNG = np.random.default_rng(5)
 MODULES = np.where(RNG.random((21, 21)) < 0.5, -1, 1).astype(np.int8)
@@ -46,7 +47,7 @@ WINDOW = WindowReading(
     codes=(
         WindowCode(
             status=ReadStatus.READ,
-            text="LOT 42",
+            payload=Payload(text="LOT 42", data=b"LOT 42"),
             symbology="QRCode",
             version=1,
             ec_level="M",

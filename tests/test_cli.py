@@ -21,7 +21,8 @@ from evqr.results import ReadResult, ReadStatus
 
 READING_KEYS = (
     "status text bytes_base64 symbology version ec_level mask rows columns t_first_us t_last_us t_read_us "
-    "windows corners_px motion_px_per_s confidence errors_corrected compute_ms warnings"
+    "windows corners_px motion_px_per_s confidence errors_corrected compute_ms warnings "
+    "symbology_identifier content_type eci charset charset_source structured_append gs1 message"
 ).split()
 WINDOW_KEYS = (
     "status reason reason_code window t_start_us t_end_us n_events text version modules motion_px_per_s "

@@ -63,6 +63,8 @@ def test_values_of_the_wrong_type_are_refused(cls, given, allowed):
         (MotionConfig, {"min_peak": 1.5}, "a number, at least 0 and at most 1, got 1.5"),
         (MotionConfig, {"probe_us": 60_000}, "at most longest_us, 50000, got 60000"),
         (SearchPass, {"largest_module_px": 3}, "at least smallest_module_px, 3.2, got 3.0"),
+        (DecodeConfig, {"charset": "klingon"}, "a name, as utf-8 or shift_jis, or None, got 'klingon'"),
+        (DecodeConfig, {"charset": "rot13"}, "a name, as utf-8 or shift_jis, or None, got 'rot13'"),
         (DecodeConfig, {"min_confidence": 1.0}, "a number, above 0 and below 1, got 1.0"),
         (ModulesConfig, {"damping_range": (0.5, 0.04)}, "a tuple .* none smaller than the one before"),
         (ModulesConfig, {"damping": float("inf")}, "a number, at least 0, got inf"),

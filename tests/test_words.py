@@ -39,6 +39,7 @@ IN_PERF = {"rival": "baseline", "rivals": "baselines", "wanted": "target"}
 ALLOWED = {
     "stage_one_iterations", "stage_two_iterations",  # keys of records, which stay
     "StageClock", "stage", "stages",  # a stage of the reader, of any number
+    "LookupError",  # Python's
 }  # fmt: skip
 
 FILES = [path for room in ("evqr", "perf") for path in sorted((ROOT / room).rglob("*.py"))]

@@ -67,6 +67,11 @@ if TYPE_CHECKING:
     metavar="ON,OFF",
     help="Lags of the pixels, in microseconds; default: estimated.",
 )
+@click.option(
+    "--charset",
+    metavar="NAME",
+    help="Character set of codes that do not name theirs, as utf-8 or shift_jis; default: guessed.",
+)
 @backend_options
 @click.option("--jobs", type=click.IntRange(min=1), default=1, metavar="N", help="Recordings read at a time.")
 @click.option("--picture", type=click.Path(path_type=Path), metavar="FILE", help="Draw the first reading.")
@@ -79,6 +84,7 @@ def read(
     each_window: bool,
     vote: str | None,
     lag_us: tuple[float, float] | None,
+    charset: str | None,
     backend: str,
     device: str,
     threads: int | None,
@@ -99,7 +105,10 @@ def read(
         from evqr.output.picture import require_drawable
 
         require_drawable(picture)
-    config = _read_config(window_us=window_us, max_windows=max_windows, lag_us=lag_us, vote=vote)
+    decode = None if charset is None else {"charset": charset}
+    config = _read_config(
+        window_us=window_us, max_windows=max_windows, lag_us=lag_us, vote=vote, decode=decode
+    )
     compute = {"config": config, "backend": backend, "device": device}
     if len(recordings) != 1:
         _prepare(backend, device)
@@ -142,7 +151,7 @@ def _read_one(recording: Recording, as_json: bool, picture: Path | None, **optio
     with progress_bar(Path(recording.path).name) as progress:
         result = read_codes(recording, progress=progress, **options)
     _show(result, as_json, {})
-    _warn(recording.path, result.warnings)
+    _warn(recording.path, _warnings(result))
     if picture and result.readings:
         from evqr.output.picture import picture_events, save_picture
 
@@ -180,7 +189,7 @@ def _read_many(recordings: tuple[Path, ...], jobs: int, as_json: bool, **options
                 if not as_json:
                     click.echo(f"{path}:")
                 _show(result, as_json, {"recording": str(path)})
-                _warn(str(path), result.warnings)
+                _warn(str(path), _warnings(result))
             statuses.append(result.status)
     return _exit_status(statuses)
 
@@ -191,6 +200,12 @@ def _show(result: ReadResult, as_json: bool, extra: dict[str, Any]) -> None:
             click.echo(json_line({**extra, **record}))
     else:
         click.echo(records.result_text(result))
+
+
+def _warnings(result: ReadResult) -> list[str]:
+    """Return what was odd about a recording and its codes, each once."""
+    odd = (text for reading in result.readings for text in (*reading.warnings, reading.gs1_error) if text)
+    return list(dict.fromkeys((*result.warnings, *odd)))
 
 
 def _warn(path: str, warnings: Sequence[str]) -> None:

@@ -6,7 +6,7 @@ import math
 from dataclasses import dataclass
 from typing import Annotated
 
-from evqr.config.settings import Count, Range, Settings, Share
+from evqr.config.settings import CharacterSet, Count, Range, Settings, Share
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -29,6 +29,8 @@ class DecodeConfig(Settings):
         Tries a block with effort "quick", spread evenly over those of "full". Chosen.
     min_check : int [codewords]
         Check codewords that erasures must leave. Chosen.
+    charset : str, optional
+        Character set of bytes of which the symbol does not name it, as utf-8 or shift_jis. Default: guessed.
     """
 
     min_confidence: Annotated[float, Range(above=0.0, below=1.0)] = 0.999
@@ -38,6 +40,7 @@ class DecodeConfig(Settings):
     format_floor: Share = 0.25
     quick_tries: Count = 4
     min_check: Count = 2
+    charset: CharacterSet | None = None
 
     @property
     def log_chance_limit(self) -> float:

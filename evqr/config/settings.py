@@ -60,9 +60,14 @@ class Ascending:
     """Marks a tuple of numbers none of which may be smaller than the one before it."""
 
 
+class KnownCharset:
+    """Marks the name of a character set that Python knows."""
+
+
 Count = Annotated[int, Range(least=1)]
 Positive = Annotated[float, Range(above=0.0)]
 NotNegative = Annotated[float, Range(least=0.0)]
+CharacterSet = Annotated[str, KnownCharset]
 Share = Annotated[float, Range(least=0.0, most=1.0)]
 
 
@@ -154,6 +159,8 @@ def _converted(value: Any, kind: Any) -> Any:
                 raise ValueError
             if limit is Ascending and list(value) != sorted(value):
                 raise ValueError
+            if limit is KnownCharset and not _is_charset(value):
+                raise ValueError
         return value
     if origin in (Union, UnionType):
         errors = []
@@ -167,7 +174,7 @@ def _converted(value: Any, kind: Any) -> Any:
         return _converted_tuple(value, parts)
     if kind is NoneType and value is None:
         return None
-    if kind is bool and isinstance(value, bool):
+    if (kind is bool and isinstance(value, bool)) or (kind is str and isinstance(value, str)):
         return value
     if kind is int and isinstance(value, numbers.Integral) and not isinstance(value, bool):
         return int(value)
@@ -181,6 +188,13 @@ def _converted(value: Any, kind: Any) -> Any:
         if isinstance(value, kind):
             return value
     raise TypeError
+
+
+def _is_charset(name: str) -> bool:
+    try:
+        return bool("a".encode(name))
+    except (LookupError, ValueError):  # unknown, or a codec that is no character set
+        return False
 
 
 def _converted_tuple(value: Any, parts: tuple[Any, ...]) -> tuple[Any, ...]:
@@ -198,6 +212,7 @@ def _allowed(kind: Any) -> str:
     origin, parts = typing.get_origin(kind), typing.get_args(kind)
     if origin is Annotated:
         limits = [str(limit) for limit in parts[1:] if isinstance(limit, Range)]
+        limits += ["as utf-8 or shift_jis" for limit in parts[1:] if limit is KnownCharset]
         limits += ["none smaller than the one before" for limit in parts[1:] if limit is Ascending]
         return ", ".join([_allowed(parts[0]), *limits])
     if origin in (Union, UnionType):
@@ -208,7 +223,7 @@ def _allowed(kind: Any) -> str:
         return "one of " + ", ".join(repr(member.value) for member in kind)
     if issubclass(kind, Settings):
         return f"a {kind.__name__}"
-    names = {NoneType: "None", bool: "True or False", int: "a whole number", float: "a number"}
+    names = {NoneType: "None", bool: "True or False", int: "a whole number", float: "a number", str: "a name"}
     return names[kind]
 
 

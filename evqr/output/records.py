@@ -9,9 +9,16 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from evqr.results import CodeReading, ReadResult, ReadStatus, WindowReading, symbol_name
+from evqr.symbol.gs1 import SEPARATOR
+from evqr.symbol.messages import Message
+from evqr.symbol.payload import ContentType, Payload
+from evqr.values import plain
 
 if TYPE_CHECKING:
     from evqr.recording import RecordingInfo
+
+GS = "<GS>"
+"""How the separator of GS1 messages is shown."""
 
 
 def result_records(result: ReadResult) -> list[dict[str, Any]]:
@@ -25,17 +32,25 @@ def result_records(result: ReadResult) -> list[dict[str, Any]]:
     Returns
     -------
     records : list of dict
-        One a reading, which tells what was odd about the recording too; for a result without readings, one
-        that says why.
+        One a reading, which tells what was odd about the recording too, and the message that it is a part of;
+        for a result without readings, one that says why.
     """
     if result.readings:
-        records = [reading.to_dict() for reading in result.readings]
-        return [{**record, "warnings": [*record["warnings"], *result.warnings]} for record in records]
+        messages = result.messages
+        return [_reading_record(reading, messages, result.warnings) for reading in result.readings]
     record = result.to_dict()
     keys = ["status", "reason", "reason_code"]
     if result.status is not ReadStatus.ERROR:
         keys += ["seen", "compute_ms", "warnings"]
     return [{key: record[key] for key in keys}]
+
+
+def _reading_record(
+    reading: CodeReading, messages: Sequence[Message], warnings: Sequence[str]
+) -> dict[str, Any]:
+    record = reading.to_dict()
+    mine = next((each for each in messages if any(part.same_content(reading) for part in each.parts)), None)
+    return {**record, "warnings": [*record["warnings"], *warnings], "message": plain(mine)}
 
 
 def reading_text(reading: CodeReading) -> str:
@@ -44,8 +59,11 @@ def reading_text(reading: CodeReading) -> str:
     corners = "  ".join(f"({x:.1f}, {y:.1f})" for x, y in reading.corners_px)
     return "\n".join(
         (
-            printable(reading.text),
+            payload_text(reading),
             f"  symbol      {_symbol(reading)}, codewords corrected: {reading.errors_corrected}",
+            f"  content     {_content(reading)}",
+            *(f"  element     {printable(str(element))}" for element in reading.gs1),
+            *(f"  part        {part}" for part in [reading.structured_append] if part),
             f"  confidence  {reading.confidence:.3f}",
             f"  time        seen {reading.t_first_us} to {reading.t_last_us} us, "
             f"read at {reading.t_read_us} us, windows used: {reading.windows}",
@@ -56,10 +74,22 @@ def reading_text(reading: CodeReading) -> str:
     )
 
 
+def payload_text(payload: Payload) -> str:
+    """Return the text of a code for a terminal, on one line: ``<GS>`` is a separator of a GS1 message."""
+    if payload.content_type is ContentType.GS1:
+        return GS.join(map(printable, payload.text.split(SEPARATOR)))
+    return printable(payload.text)
+
+
+def message_text(message: Message) -> str:
+    """Describe a message of several codes in one line."""
+    return printable(str(message))
+
+
 def result_text(result: ReadResult) -> str:
     """Describe the readings of one recording, or why there are none."""
     if result.readings:
-        return "\n".join(reading_text(reading) for reading in result.readings)
+        return "\n".join((*map(reading_text, result.readings), *map(message_text, result.messages)))
     if result.status is ReadStatus.ERROR:
         return f"error: {result.reason}"
     seen = ", ".join(f"{key.replace('_', ' ')} {value}" for key, value in result.seen.items())
@@ -68,7 +98,8 @@ def result_text(result: ReadResult) -> str:
 
 def window_text(window: WindowReading) -> str:
     """Describe a window in one line."""
-    outcome = printable(window.text) if window.text is not None else window.reason
+    payload = window.codes[0].payload if window.codes else None
+    outcome = window.reason if payload is None else payload_text(payload)
     total = window.compute_ms.get("total", 0.0)
     return (
         f"{window.window:5d}  {window.t_start_us}..{window.t_end_us} us  {window.n_events:7d} events  "
@@ -106,6 +137,14 @@ def streams_text(streams: Sequence[str]) -> str:
 def printable(text: str) -> str:
     """Escape control characters: what a code says must not drive the terminal that shows it."""
     return "".join(c if c.isprintable() else c.encode("unicode_escape").decode("ascii") for c in text)
+
+
+def _content(reading: CodeReading) -> str:
+    source = reading.charset_source.value
+    if reading.eci:
+        source += f" {', '.join(map(str, reading.eci))}"
+    charset = f"{reading.charset or 'characters'} ({source})"
+    return f"{reading.content_type}, {reading.symbology_identifier or 'no identifier'}, {charset}"
 
 
 def _symbol(reading: CodeReading) -> str:

@@ -8,21 +8,22 @@ import numpy as np
 
 from evqr.config import SchedulerConfig
 from evqr.fit.detection import Target
+from evqr.symbol.payload import Payload
 
 
 @dataclass(eq=False)
 class _Known:
-    """A code that was read: its number, its text, and where it was when it was seen last."""
+    """A code that was read: its number, what it says, and where it was when it was seen last."""
 
     code: int
-    text: str
+    payload: Payload
     target: Target
 
 
 class KnownCodes:
     """Codes of a stream that were read and may be found again.
 
-    Two readings are of one code when their texts are equal and the later one is where the earlier one must
+    Two readings are of one code when they say the same, byte by byte, and the later one is where the earlier one must
     be by then, its motion held, to a part of its size: two codes cannot overlap.  A code whose way has taken
     it out of the image cannot be found again and is forgotten.
     """
@@ -33,13 +34,13 @@ class KnownCodes:
         self._known: list[_Known] = []
         self._next = 0
 
-    def merge_with_earlier(self, text: str, target: Target) -> tuple[int, bool]:
+    def merge_with_earlier(self, payload: Payload, target: Target) -> tuple[int, bool]:
         """Give the number of a code that has just been read, and whether it was read before."""
         for known in self._known:
-            if known.text == text and self._are_one(known.target, target):
+            if known.payload.same_content(payload) and self._are_one(known.target, target):
                 known.target = target
                 return known.code, True
-        self._known.append(_Known(self._next, text, target))
+        self._known.append(_Known(self._next, payload, target))
         self._next += 1
         del self._known[: -self._cfg.remembered_codes]
         return self._next - 1, False

@@ -350,7 +350,7 @@ class StreamScheduler:
             return
         if any(target.tau_us):  # of the sensor and its light, so the next code will lag as much
             self._tau_us = target.tau_us
-        track.code, again = self._known.merge_with_earlier(track.reading.text, target)
+        track.code, again = self._known.merge_with_earlier(track.reading, target)
         if not again:
             self._records.append(CodeRead(track.code, track.reading))
         elif all(other.code != track.code for other in self._tracks if other is not track):

@@ -129,8 +129,7 @@ class Track:
 
     def _reading(self, decoded: Decoded, estimate: CodeEstimate) -> CodeReading:
         return CodeReading(
-            text=decoded.text,
-            data=decoded.data,
+            **vars(decoded.payload),
             symbology=decoded.symbology.value,
             version=decoded.version,
             ec_level=decoded.ec_level,

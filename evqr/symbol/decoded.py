@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from evqr.reason import Reason
+from evqr.symbol.payload import Payload
 from evqr.symbol.space import CodeSpace, Symbology, Version
 from evqr.values import Value
 
@@ -17,14 +18,12 @@ Effort = Literal["quick", "full"]
 
 @dataclass(frozen=True, eq=False, kw_only=True)
 class Decoded(Value):
-    """A symbol, read.
+    """A symbol, read: what it says, and how it was decoded.
 
     Attributes
     ----------
-    text : str
-        The payload.
-    data : bytes
-        The payload, as it is in the symbol.
+    payload : Payload
+        What it says.
     space : CodeSpace
         Kind and size of the symbol.
     ec_level : str, optional
@@ -48,8 +47,7 @@ class Decoded(Value):
         1 / (1 + wrong_grids 10^log10_chance): that the text is right, 0 to 1.
     """
 
-    text: str
-    data: bytes
+    payload: Payload
     space: CodeSpace
     ec_level: str | None = None
     mask: int | None = None
@@ -60,6 +58,16 @@ class Decoded(Value):
     modules: NDArray[np.int8]
     log10_chance: float
     confidence: float
+
+    @property
+    def text(self) -> str:
+        """Its text."""
+        return self.payload.text
+
+    @property
+    def data(self) -> bytes:
+        """Its bytes."""
+        return self.payload.data
 
     @property
     def symbology(self) -> Symbology:

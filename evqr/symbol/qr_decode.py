@@ -27,6 +27,7 @@ from evqr.symbol.qr_codewords import (
     symbol_of,
     unmasked,
 )
+from evqr.symbol.qr_segments import segments_of
 from evqr.symbol.reed_solomon import Symbols
 from evqr.symbol.space import CodeSpace
 
@@ -158,16 +159,17 @@ def _decode_format(
         padding = padding and count_pads(result.words[: block.n_data]) == block.n_data
 
     modules = symbol_of(codewords, version, level, mask)
-    content = content_of(modules, space.symbology)
+    stream = b"".join(codewords[b.codewords][: b.n_data].tobytes() for b in layout.blocks)
+    payload = content_of(
+        modules, space.symbology, charset=config.charset, segments=segments_of(stream, version)
+    )
     # A texture that equals a mask (stripes, checks) is the all-zero word: valid, and empty.
-    if content is None:
+    if payload is None:
         return failed(Reason.NO_CONTENT, _named(form))
-    text, data = content
     least_sure = max(block.log_chance for block in blocks)
     log_chance = hypotheses + least_sure + math.log(sum(math.exp(b.log_chance - least_sure) for b in blocks))
     return Decoded(
-        text=text,
-        data=data,
+        payload=payload,
         space=space,
         ec_level=level,
         mask=mask,
