@@ -23,9 +23,9 @@ class _Known:
 class KnownCodes:
     """Codes of a stream that were read and may be found again.
 
-    Two readings are of one code when they say the same, byte by byte, and the later one is where the earlier one must
-    be by then, its motion held, to a part of its size: two codes cannot overlap.  A code whose way has taken
-    it out of the image cannot be found again and is forgotten.
+    Two readings are of one code when they say the same, byte by byte, and the later one is where the earlier
+    one must be by then, its motion held, to a part of its size: two codes cannot overlap.  A code whose way
+    has taken it out of the image cannot be found again and is forgotten.
     """
 
     def __init__(self, cfg: SchedulerConfig, width: int, height: int) -> None:
