@@ -56,16 +56,16 @@ class Solver:
         self.workspace.backend.load(device, LAUNCHED)
 
     def motion_at(self, start_us: int, *, guess: Motion | None = None) -> Asking[MotionEstimate | NotFound]:
-        """Estimate the motion at a time of a stream; from cold, or with a guess of its speed.
+        """Estimate the motion at a time of a stream.
 
         It asks for the windows that it takes (`EventBuffer.answer` runs it where all events are there).
 
         Parameters
         ----------
         start_us : int [us]
-            Where its windows start.
-        guess : Motion, optional
-            From an earlier window, for its speed. Default: nothing is known.
+            Where its windows begin.
+        guess : Motion
+            From an earlier window, for its speed; None: from cold.
 
         Returns
         -------
@@ -78,14 +78,36 @@ class Solver:
         return _timed(found, clock)
 
     def motion_in(self, window: Window) -> MotionEstimate | NotFound:
-        """Estimate the motion from one window's events alone."""
+        """Estimate the motion from one window's events alone.
+
+        Parameters
+        ----------
+        window : Window
+            As long as about three pixels of travel take.
+
+        Returns
+        -------
+        found : MotionEstimate or NotFound
+            At the middle of the window, with its timings.
+        """
         clock = StageClock()
         with clock("motion"):
             found = estimate_motion(window, self.config.motion, workspace=self.workspace)
         return _timed(found, clock)
 
     def window_us(self, motion: Motion) -> int:
-        """Give the length of windows for a motion: fixed, or as their travel asks for [us]."""
+        """Give the length of windows for a motion.
+
+        Parameters
+        ----------
+        motion : Motion
+            Of the code.
+
+        Returns
+        -------
+        length : int [us]
+            Fixed, or as the travel in a window asks for.
+        """
         cfg = self.config
         return cfg.window_us or motion.window_us(cfg.travel_px, longest_us=cfg.motion.longest_us)
 
@@ -223,7 +245,18 @@ class Solver:
         return replace(found, timings_ms=clock.ms)
 
     def solve(self, detection: Detection) -> CodeEstimate:
-        """Solve for the modules of a code from one window; `evqr.fit.fusion` does it from several."""
+        """Solve for the modules of a code from one window; `evqr.fit.fusion` does it from several.
+
+        Parameters
+        ----------
+        detection : Detection
+            Of the code in the window.
+
+        Returns
+        -------
+        estimate : CodeEstimate
+            Of all modules.
+        """
         return solve_modules(detection.weighted, self.config.modules, workspace=self.workspace)
 
 

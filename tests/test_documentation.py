@@ -41,9 +41,6 @@ UNITS = {
 }
 """Endings of names, and the unit in brackets that they ask for."""
 
-TO_CONVERT = {"fit", "search", "solver"}
-"""Rooms whose docstrings are still to be brought into the dialect."""
-
 EXPORTED = {
     (module, name)
     for place in (evqr, evqr.simulate)
@@ -240,11 +237,6 @@ def exported_by(path):
     return {name for of, name in EXPORTED if of == module}
 
 
-def room_of(path):
-    parts = path.relative_to(ROOT).parts
-    return parts[0].removesuffix(".py")
-
-
 FILES = sorted(ROOT.rglob("*.py"))
 
 
@@ -256,8 +248,6 @@ def test_docstrings(path):
         for place, node, complete in documented(tree, exported_by(path))
         for fault in faults_of(node, complete)
     ]
-    if room_of(path) in TO_CONVERT:
-        pytest.skip(f"{len(faults)} faults still")
     assert not faults, "\n" + "\n".join(faults)
 
 

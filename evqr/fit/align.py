@@ -31,10 +31,14 @@ class Level:
 
     Attributes
     ----------
-    sigma       blur of the model [modules]
-    samples     a module
-    tilt        whether perspective is free
-    tolerance   step at which it has converged [modules]
+    sigma : float [modules]
+        Blur of the model.
+    samples : int
+        Samples a module.
+    tilt : bool
+        Whether perspective is free.
+    tolerance : float [modules]
+        Step at which it has converged.
     """
 
     sigma: float
@@ -62,11 +66,16 @@ class Alignment:
 
     Attributes
     ----------
-    pose : (N, 3, 3)    code coordinates to cells of the image
-    gain : (N, 2)       a_u, a_v
-    score : (N,)        normalised correlation of the model with the image on the known modules, -1 to 1
-    noise : (N,)        variance of what the model leaves unexplained, a sample
-    iterations          Gauss-Newton steps taken, over all levels
+    pose : (N, 3, 3) float64
+        Code coordinates to cells of the image.
+    gain : (N, 2) float64
+        a_u, a_v.
+    score : (N,) float64
+        Normalised correlation of the model with the image on the known modules, -1 to 1.
+    noise : (N,) float64
+        Variance of what the model leaves unexplained, a sample.
+    iterations : int
+        Gauss-Newton steps taken, over all levels.
     """
 
     pose: NDArray[np.float64]
@@ -170,11 +179,27 @@ def align(
 
     Parameters
     ----------
-    images : (B, Y, X)            of events
-    pose : (N, 3, 3)              code coordinates to cells
-    levels                        coarse to fine
-    image_idx : (N,) int32        image of each hypothesis; default the first
-    max_iterations                at each level, default the configured; 0 scores the poses as they are
+    images : Images
+        Of events, (B, Y, X).
+    pose : (N, 3, 3) float64
+        Code coordinates to cells, to start from.
+    space : CodeSpace
+        Of all of them.
+    levels : tuple of Level
+        Coarse to fine.
+    cfg : AlignConfig
+        Settings.
+    workspace : Workspace
+        Buffers.
+    image_idx : (N,) int32
+        Image of each hypothesis; default the first.
+    max_iterations : int
+        At each level; default the configured; 0 scores the poses as they are.
+
+    Returns
+    -------
+    alignment : Alignment
+        Of all N.
     """
     most = cfg.max_iterations if max_iterations is None else max_iterations
     step = images.once(

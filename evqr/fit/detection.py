@@ -62,11 +62,33 @@ class Target(Value):
         return np.array(at_centre(self.pose, self.space.shape)[0])
 
     def outline(self, margin: float = 0.0) -> NDArray[np.float64]:
-        """Give the corners (4, 2) from the top-left one clockwise, a margin around [modules] -> [px]."""
+        """Give the corners of the code.
+
+        Parameters
+        ----------
+        margin : float [modules]
+            Around it.
+
+        Returns
+        -------
+        corners : (4, 2) float64 [px]
+            Top-left, top-right, bottom-right, bottom-left.
+        """
         return outline(self.pose, self.space.shape, margin)
 
     def at(self, time_us: float) -> Target:
-        """Give where the code is at another time, its motion held."""
+        """Give where the code is at another time, its motion held.
+
+        Parameters
+        ----------
+        time_us : float [us]
+            When.
+
+        Returns
+        -------
+        target : Target
+            With the pose of then.
+        """
         if time_us == self.time_us:
             return self
         return replace(self, pose=self.motion.advance(self.pose, time_us), motion=self.motion.at(time_us))
@@ -138,11 +160,33 @@ class Detection(Value):
         return self.equations.weighted(self.noise)
 
     def at(self, time_us: float) -> Target:
-        """Give where the code is at another time, its motion held."""
+        """Give where the code is at another time, its motion held.
+
+        Parameters
+        ----------
+        time_us : float [us]
+            When.
+
+        Returns
+        -------
+        target : Target
+            With the pose of then.
+        """
         return self.target.at(time_us)
 
     def moving(self, motion: Motion) -> Detection:
-        """Give the same detection with a motion that is known better, of the same time."""
+        """Give the same detection with a motion that is known better.
+
+        Parameters
+        ----------
+        motion : Motion
+            It is taken to hold at the time of the detection.
+
+        Returns
+        -------
+        detection : Detection
+            That differs in its motion only.
+        """
         return replace(self, target=replace(self.target, motion=motion.at(self.time_us)))
 
 

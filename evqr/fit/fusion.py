@@ -26,7 +26,15 @@ class Fusion:
 
         Parameters
         ----------
-        noise   variance of a sample: a window counts by one over it
+        equations : NormalEquations
+            Of the window.
+        noise : float
+            Variance of a sample: a window counts by one over it.
+
+        Returns
+        -------
+        estimate : CodeEstimate
+            Its strength says where it is sure.
         """
         self.windows += 1
         weighted = equations.weighted(noise)

@@ -44,13 +44,27 @@ def estimate_lag(
 
     Parameters
     ----------
-    deposit         of the events on the region, made already
-    pose : (3, 3)   code coordinates to cells of the region
+    deposit : Deposit
+        Of the events on the region, made already.
+    motion : Motion
+        Of the code.
+    region : Region
+        Around the code.
+    pose : (3, 3) float64
+        Code coordinates to cells of the region.
+    space : CodeSpace
+        Of the code.
+    cfg : ReadConfig
+        Settings.
+    workspace : Workspace
+        Buffers.
 
     Returns
     -------
-    lag_px      ON and OFF [px]
-    alignment   of the pose with these lags, one hypothesis
+    lag_px : (float, float) [px]
+        Of ON and of OFF events.
+    alignment : Alignment
+        Of the pose with these lags, one hypothesis.
     """
     lag = cfg.lag
     step = deposit.once(("lag", space, cfg.align, lag), lambda: _Lag(deposit, space, cfg, workspace))

@@ -94,12 +94,23 @@ def measuring(
 
     Parameters
     ----------
+    window : Window
+        What is measured.
     target : Target
         What is looked for, at the middle of the window.
     region : Region
         Around it.
+    cfg : ReadConfig
+        Settings.
+    workspace : Workspace
+        Buffers.
     from_events : bool
         False: the last deposit on a region of this size is of this window and region.
+
+    Returns
+    -------
+    step : Measure
+        To be run and read, before it is made ready for another window.
     """
     deposit = depositing(window, target.motion, region, workspace=workspace)
     step = deposit.once(

@@ -61,11 +61,33 @@ class NormalEquations(Value):
         return NormalEquations(self.space, self.stencil + other.stencil, self.rhs + other.rhs)
 
     def weighted(self, noise: float) -> NormalEquations:
-        """Give the same equations with the weight that they deserve, one over the variance of the noise."""
+        """Give the same equations with the weight that they deserve.
+
+        Parameters
+        ----------
+        noise : float
+            Variance of a sample; the weight is one over it.
+
+        Returns
+        -------
+        equations : NormalEquations
+            In units of their noise.
+        """
         return self.scaled(1.0 / max(noise, 1e-12))
 
     def scaled(self, weight: float) -> NormalEquations:
-        """Give the same equations with a weight."""
+        """Give the same equations with a weight.
+
+        Parameters
+        ----------
+        weight : float
+            Of all of them.
+
+        Returns
+        -------
+        equations : NormalEquations
+            As if there were so many alike.
+        """
         return NormalEquations(self.space, weight * self.stencil, weight * self.rhs)
 
 
@@ -218,7 +240,17 @@ def solve_modules(equations: NormalEquations, cfg: ModulesConfig, *, workspace: 
 
     Parameters
     ----------
-    equations   weighted by one over the variance of the noise
+    equations : NormalEquations
+        Weighted by one over the variance of the noise.
+    cfg : ModulesConfig
+        Settings.
+    workspace : Workspace
+        Buffers.
+
+    Returns
+    -------
+    estimate : CodeEstimate
+        Of all modules.
     """
     space = equations.space
     step = workspace.once(("code", space, cfg), lambda: Solution(space, cfg, workspace))

@@ -23,9 +23,12 @@ class Region:
 
     Attributes
     ----------
-    x, y            outer corner of the first cell [px]
-    cell            size of a cell [px]
-    height, width   [cells]
+    x, y : float [px]
+        Outer corner of the first cell.
+    cell : float [px]
+        Size of a cell.
+    height, width : int [cells]
+        Of the region.
     """
 
     x: float

@@ -56,10 +56,23 @@ def screen(
 ) -> tuple[list[Candidate], int]:
     """Refine hypotheses coarsely: those of the best finder patterns; the others if none is clearly a code.
 
+    Parameters
+    ----------
+    hypotheses : list of Hypothesis
+        Of one search, best first.
+    pyramid : list of PyramidLevel
+        The images of that search.
+    cfg : AlignConfig
+        Settings.
+    workspace : Workspace
+        Buffers.
+
     Returns
     -------
-    candidates   best first
-    iterations   of Gauss-Newton
+    candidates : list of Candidate
+        Best first.
+    iterations : int
+        Of Gauss-Newton.
     """
     if not hypotheses:
         return [], 0

@@ -1,12 +1,15 @@
 """Events on the device: shared by windows of one beginning, and by no others."""
 
+import gc
+import weakref
+
 import numpy as np
 import pytest
 
 from evqr.events.array import EventArray
 from evqr.events.buffer import EventBuffer
 from evqr.events.window import make_window
-from evqr.workspace import Workspace
+from evqr.workspace import Step, Workspace
 from evqr_kernels import get_backend
 
 COUNT = 4000
@@ -80,3 +83,37 @@ def test_other_events_are_not_taken_for_the_same(other, workspace, events):
         e.x[:] = 7
     window = make_window(e, 0, COUNT)
     assert_there(workspace.events(window), window)
+
+
+# ---- what is kept
+
+
+class Owner(Step):
+    """Keeps what works on its buffers."""
+
+
+def test_what_was_not_used_for_longest_goes_first(workspace):
+    workspace.most_kept = 3
+    made = []
+    for key in "abcad":
+        workspace.once(key, lambda key=key: made.append(key))
+    assert made == ["a", "b", "c", "d"]
+    for key in "acd":
+        workspace.once(key, lambda key=key: made.append(key))
+    assert made == ["a", "b", "c", "d"]  # b went
+    workspace.once("b", lambda: made.append("b"))
+    assert made[-1] == "b"
+
+
+def test_what_works_on_buffers_of_a_step_goes_with_it(workspace):
+    """No key knows an array by its address, so that none can be taken for another one's."""
+    workspace.most_kept = 1
+    step = workspace.once("first", lambda: Owner(workspace.backend))
+    kept = weakref.ref(step.once("what", lambda: Owner(workspace.backend)))
+    assert step.once("what", lambda: None) is kept()
+    del step
+    gc.collect()
+    assert kept() is not None
+    workspace.once("second", lambda: Owner(workspace.backend))
+    gc.collect()
+    assert kept() is None
