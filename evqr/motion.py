@@ -79,7 +79,7 @@ class Motion(Value):
         """Length of the velocity [px/s]."""
         return math.hypot(*self.velocity.tolist())
 
-    @property
+    @cached_property
     def direction(self) -> NDArray[np.float64]:
         """The velocity (2,), divided by its length; 0 where nothing moves."""
         return self.velocity / max(self.speed, SLOWEST_PX_PER_S)
@@ -169,7 +169,7 @@ class Motion(Value):
         motion : Motion
             With the same parameters.
         """
-        return self if time_us == self.time_us else replace(self, time_us=time_us)
+        return self if time_us == self.time_us else Motion(self.parameters, time_us, self.about)
 
     def turned(self, angle: float) -> Motion:
         """Give the motion with all velocities turned by an angle.

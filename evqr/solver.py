@@ -241,8 +241,7 @@ class Solver:
         score = float(measured.alignment.score[0])
         if score < one.min_score:
             return NotFound(Reason.DISAGREES, f"{score:.2f}, where the code should be", score, clock.ms)
-        found = measured.detection(target, region, measured.alignment.iterations)
-        return replace(found, timings_ms=clock.ms)
+        return measured.detection(target, region, measured.alignment.iterations, clock.ms)
 
     def solve(self, detection: Detection) -> CodeEstimate:
         """Solve for the modules of a code from one window; `evqr.fit.fusion` does it from several.

@@ -13,10 +13,13 @@ from evqr.geometry import at_centre, outline
 from evqr.motion import Motion
 from evqr.reason import Reason
 from evqr.symbol.space import CodeSpace
-from evqr.values import Value, read_only
+from evqr.values import FrozenDict, Value, read_only
 
 NO_LAG = (0.0, 0.0)
 """Time constants of pixels that do not lag [us]."""
+
+NO_TIMINGS: Mapping[str, float] = FrozenDict()
+"""Of what was not timed."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -91,7 +94,8 @@ class Target(Value):
         """
         if time_us == self.time_us:
             return self
-        return replace(self, pose=self.motion.advance(self.pose, time_us), motion=self.motion.at(time_us))
+        motion = self.motion
+        return Target(self.space, motion.advance(self.pose, time_us), motion.at(time_us), self.tau_us)
 
 
 @dataclass(frozen=True, eq=False)
@@ -122,7 +126,13 @@ class Detection(Value):
     noise: float
     equations: NormalEquations
     iterations: int
-    timings_ms: Mapping[str, float] = field(default_factory=dict, compare=False)
+    timings_ms: Mapping[str, float] = field(default=NO_TIMINGS, compare=False)
+
+    def __post_init__(self) -> None:
+        # as `Value` does, without looking at every field: one is made a window
+        object.__setattr__(self, "gain", read_only(self.gain))
+        if not isinstance(self.timings_ms, FrozenDict):
+            object.__setattr__(self, "timings_ms", FrozenDict(self.timings_ms))
 
     @property
     def space(self) -> CodeSpace:
@@ -209,7 +219,7 @@ class NotFound(Value):
     reason: Reason
     detail: str = ""
     closest: float = 0.0
-    timings_ms: Mapping[str, float] = field(default_factory=dict, compare=False)
+    timings_ms: Mapping[str, float] = field(default=NO_TIMINGS, compare=False)
 
     def __str__(self) -> str:
         return self.reason.explained(self.detail)

@@ -7,12 +7,13 @@ gain that it ends with stage two's right-hand side.
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from collections.abc import Mapping
+from dataclasses import dataclass
 
 from evqr.config import ReadConfig
 from evqr.events.window import Window
 from evqr.fit.align import Align, Alignment, fine_levels
-from evqr.fit.detection import Detection, Target
+from evqr.fit.detection import NO_TIMINGS, Detection, Target
 from evqr.fit.image import Deposit, Sharpen, depositing
 from evqr.fit.modules import Equations, NormalEquations
 from evqr.fit.region import Region
@@ -35,17 +36,20 @@ class Measurement:
     alignment: Alignment
     equations: NormalEquations
 
-    def detection(self, target: Target, region: Region, iterations: int) -> Detection:
+    def detection(
+        self, target: Target, region: Region, iterations: int, timings_ms: Mapping[str, float] = NO_TIMINGS
+    ) -> Detection:
         """Give what was measured in px of the sensor, after so many iterations in all."""
         found = self.alignment
         pose = region.to_px @ found.pose[0]
         return Detection(
-            target=replace(target, pose=pose / pose[2, 2]),
+            target=Target(target.space, pose / pose[2, 2], target.motion, target.tau_us),
             gain=found.gain[0],
             score=float(found.score[0]),
             noise=float(found.noise[0]),
             equations=self.equations,
             iterations=iterations,
+            timings_ms=timings_ms,
         )
 
 

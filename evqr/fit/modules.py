@@ -55,7 +55,8 @@ class NormalEquations(Value):
 
     def __post_init__(self) -> None:
         # not copied: they are nobody else's
-        self.stencil.flags.writeable = self.rhs.flags.writeable = False
+        self.stencil.setflags(write=False)
+        self.rhs.setflags(write=False)
 
     def __add__(self, other: NormalEquations) -> NormalEquations:
         return NormalEquations(self.space, self.stencil + other.stencil, self.rhs + other.rhs)
