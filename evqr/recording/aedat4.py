@@ -31,9 +31,9 @@ class Aedat4Source(Source):
     def __init__(self, path: str, asked: Asked) -> None:
         self._aedat = required("aedat", path, "AEDAT4")
         with explained(path, "AEDAT4 file"):
-            decoder = self._aedat.Decoder(path)
-            streams: dict[int, Any] = decoder.id_to_stream()
-            names = _names(path, [number for number, stream in streams.items() if stream["type"] == "events"])
+            outputs = _outputs(path)  # before the decoder, which panics at damaged XML
+            streams: dict[int, Any] = self._aedat.Decoder(path).id_to_stream()
+            names = _names(outputs, sorted(n for n, stream in streams.items() if stream["type"] == "events"))
         if not names:
             has = ", ".join(sorted({stream["type"] for stream in streams.values()})) or "nothing"
             raise RecordingError(f"{path}: no event stream in this file (it has: {has}); record events too")
@@ -84,23 +84,29 @@ def _columns(events: Any) -> RawColumns:
     return RawColumns(events["t"].astype(np.int64), events["x"], events["y"], events["on"])
 
 
-def _names(path: str, ids: list[int]) -> dict[str, int]:
-    """Name event streams by their outputs; where these are alike by camera and output, or else by number."""
-    outputs: dict[int, tuple[str, str]] = {}
+def _outputs(path: str) -> dict[int, tuple[str, str]]:
+    """Camera and output of each stream, by the XML in the header; raises ValueError or ParseError without one."""
     with open(path, "rb") as file:
         head = file.read(MAX_HEADER_BYTES)
     (length,) = struct.unpack_from("<I", head, MAGIC_BYTES)
     head = head[: MAGIC_BYTES + 4 + length]
     start, end = head.find(b"<dv"), head.rfind(b"</dv>")
-    if 0 <= start < end:
-        for node in ElementTree.fromstring(head[start : end + 5]).iterfind("./node[@name='outInfo']/node"):
-            output = node.findtext("./attr[@key='originalOutputName']") or ""
-            source = node.findtext("./node[@name='info']/attr[@key='source']") or ""
-            if str(node.get("name")).isdecimal():
-                outputs[int(str(node.get("name")))] = source, output
-    names = [outputs.get(number, ("", ""))[1] for number in sorted(ids)]
+    if not 0 <= start < end:
+        raise ValueError("its header does not describe its streams")
+    outputs = {}
+    for node in ElementTree.fromstring(head[start : end + 5]).iterfind("./node[@name='outInfo']/node"):
+        output = node.findtext("./attr[@key='originalOutputName']") or ""
+        source = node.findtext("./node[@name='info']/attr[@key='source']") or ""
+        if str(node.get("name")).isdecimal():
+            outputs[int(str(node.get("name")))] = source, output
+    return outputs
+
+
+def _names(outputs: dict[int, tuple[str, str]], ids: list[int]) -> dict[str, int]:
+    """Name event streams by their outputs; where these are alike by camera and output, or else by number."""
+    names = [outputs.get(number, ("", ""))[1] for number in ids]
     if len(set(names)) < len(names) or not all(names):
-        names = ["/".join(outputs.get(number, ("", ""))) for number in sorted(ids)]
+        names = ["/".join(outputs.get(number, ("", ""))) for number in ids]
     if len(set(names)) < len(names):
-        names = [str(number) for number in sorted(ids)]
-    return dict(zip(names, sorted(ids), strict=True))
+        names = [str(number) for number in ids]
+    return dict(zip(names, ids, strict=True))
