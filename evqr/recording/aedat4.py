@@ -85,7 +85,7 @@ def _columns(events: Any) -> RawColumns:
 
 
 def _outputs(path: str) -> dict[int, tuple[str, str]]:
-    """Camera and output of each stream, by the XML in the header; raises ValueError or ParseError without one."""
+    """Camera and output of each stream by the XML in the header; raises ValueError or ParseError without."""
     with open(path, "rb") as file:
         head = file.read(MAX_HEADER_BYTES)
     (length,) = struct.unpack_from("<I", head, MAGIC_BYTES)

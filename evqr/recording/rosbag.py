@@ -36,6 +36,8 @@ FIELDS = {
     ("Header", "uint32", "uint32", "Event[]"): ARRAY,
 }
 
+MEND = "copy it again, or give it a new index: rosbag reindex, ros2 bag reindex, mcap recover"
+
 WORDS = {"evt2": EVT2, "evt21": EVT21, "evt4": EVT4}
 ENCODINGS = ("evt3", *WORDS, "mono")
 
@@ -45,7 +47,7 @@ class BagSource(Source):
 
     def __init__(self, path: str, asked: Asked) -> None:
         self._rosbags = required("rosbags.rosbag1", path, "ROS bag")
-        with explained(path, "ROS bag"), _opened(path) as (bag, self._ros2):
+        with explained(path, "ROS bag", MEND), _opened(path) as (bag, self._ros2):
             layouts = {c.topic: layout for c in bag.connections if (layout := _layout(c))}
             if not layouts:
                 has = ", ".join(sorted({f"{c.topic} ({c.msgtype})" for c in bag.connections})) or "nothing"
@@ -89,7 +91,7 @@ class BagSource(Source):
         """Join messages until there are ``chunk_events``."""
         decoders: dict[int, Any] = {}
         parts: list[RawColumns] = []
-        with explained(self.name, "ROS bag"), _opened(self.name) as (bag, _):
+        with explained(self.name, "ROS bag", MEND), _opened(self.name) as (bag, _):
             for connection, message in self._messages(bag):
                 parts.append(self._columns(message, connection, decoders, faults))
                 if sum(len(part.t) for part in parts) >= chunk_events:

@@ -138,7 +138,7 @@ def choose_stream(names: Sequence[str], wanted: str | None, name: str, what: str
 
 
 @contextmanager
-def explained(name: str, what: str) -> Iterator[None]:
+def explained(name: str, what: str, advice: str = "copy or export it again") -> Iterator[None]:
     """Turn whatever a decoder raises on damaged bytes into a `RecordingError` of one line.
 
     The decoders below us (HDF5, zip, NumPy headers, native vendor readers) raise nearly every kind of
@@ -155,9 +155,7 @@ def explained(name: str, what: str) -> Iterator[None]:
         if refused := refusal(error):
             raise RecordingError(f"{name}: {refused}") from error
         detail = " ".join(str(error).split()) or type(error).__name__
-        raise RecordingError(
-            f"{name}: {what} is damaged or truncated ({detail}); copy or export it again"
-        ) from error
+        raise RecordingError(f"{name}: {what} is damaged or truncated ({detail}); {advice}") from error
 
 
 def refusal(error: BaseException) -> str | None:
