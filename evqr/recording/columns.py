@@ -314,7 +314,10 @@ class ColumnChecker:
         fresh = wrong if self._wrong is None else wrong & ~self._wrong
         self._wrong = wrong if self._wrong is None else wrong | self._wrong
         if np.any(fresh):
-            fault = f"{what} {values[at]} of event {self._first + at:,} {problem}"
+            value = values[at]
+            if values.dtype.kind == "f" and abs(value) < 1e15 and value == np.rint(value):
+                value = int(value)  # as the file has it, be it parsed as a float
+            fault = f"{what} {value} of event {self._first + at:,} {problem}"
             self._faults.leave_out(int(np.count_nonzero(fresh)), fault, advice)
         return np.where(wrong, values.dtype.type(0), values)
 
