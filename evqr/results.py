@@ -87,6 +87,11 @@ class CodeReading(Payload):
     compute_ms: Mapping[str, float] = field(compare=False)
 
     @property
+    def symbol(self) -> str:
+        """Symbology, size and level in short: QRCode 7-H, MicroQRCode M1, DataMatrix 22x22."""
+        return _symbol(self)
+
+    @property
     def rows(self) -> int:
         """Modules from top to bottom, V."""
         return self.modules.shape[0]
@@ -97,8 +102,7 @@ class CodeReading(Payload):
         return self.modules.shape[1]
 
     def __str__(self) -> str:
-        symbol = f"{plain(self.symbology)} {symbol_name(self.version, self.ec_level)}"
-        return f"{self.text!r} ({symbol}) at {self.t_read_us} us"
+        return f"{self.text!r} ({self.symbol}) at {self.t_read_us} us"
 
     def to_dict(self) -> dict[str, Any]:
         """Return the record of `evqr read --json`.
@@ -189,6 +193,11 @@ class WindowCode(Value):
         return None if self.payload is None else self.payload.text
 
     @property
+    def symbol(self) -> str:
+        """Symbology, size and level in short: QRCode 7-H, MicroQRCode M1, DataMatrix 22x22."""
+        return _symbol(self)
+
+    @property
     def rows(self) -> int:
         """Modules from top to bottom, V."""
         return self.modules.shape[0]
@@ -199,8 +208,7 @@ class WindowCode(Value):
         return self.modules.shape[1]
 
     def __str__(self) -> str:
-        symbol = f"{plain(self.symbology)} {symbol_name(self.version, self.ec_level)}"
-        return f"{self.reason} ({symbol})" if self.text is None else f"{self.text!r} ({symbol})"
+        return f"{self.reason if self.text is None else repr(self.text)} ({self.symbol})"
 
     def to_dict(self) -> dict[str, Any]:
         """Return one of the ``codes`` of `evqr read --each-window --json`.
@@ -443,19 +451,6 @@ def module_rows(modules: NDArray[np.floating] | NDArray[np.integer]) -> list[str
     return ["".join("1" if dark else "0" for dark in row) for row in modules < 0]
 
 
-def symbol_name(version: int | str, ec_level: str | None) -> str:
-    """Name a symbol within its symbology.
-
-    Parameters
-    ----------
-    version : int or str
-        Which size.
-    ec_level : str or None
-        Level of error correction, where there is one.
-
-    Returns
-    -------
-    name : str
-        As 7-H, M2-L, 22x22.
-    """
-    return str(version) if ec_level is None else f"{version}-{ec_level}"
+def _symbol(code: CodeReading | WindowCode) -> str:
+    level = "" if code.ec_level is None else f"-{code.ec_level}"
+    return f"{plain(code.symbology)} {code.version}{level}"

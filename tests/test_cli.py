@@ -102,6 +102,16 @@ def test_a_code_cannot_drive_the_terminal(capsys, reads, recording):
     assert out[0] == r"a\x1b[2Jb\nc\u202ed"
 
 
+def test_a_symbol_without_level_and_mask(capsys, reads, recording):
+    reading = sample_results.reading(symbology="DataMatrix", version="22x22", ec_level=None, mask=None)
+    reads(sample_results.read_result(reading))
+    _, out, _ = run(capsys, "read", recording)
+    assert out[1] == "  symbol      DataMatrix 22x22, codewords corrected: 2"
+    _, out, _ = run(capsys, "read", recording, "--json")
+    record = json.loads(out[0])
+    assert (record["version"], record["ec_level"], record["mask"]) == ("22x22", None, None)
+
+
 def test_nothing_read(capsys, reads, recording):
     reads(sample_results.no_read_result())
     status, out, _ = run(capsys, "read", recording, "--json")
@@ -157,6 +167,12 @@ def test_each_window(capsys, monkeypatch, recording):
     np.testing.assert_array_equal(dark, sample_results.MODULES < 0)
     assert first["affine"] == [0.25, 0.0, -10.5, 0.0, 0.25, -8.0]
     assert second["status"] == "no_code" and second["modules"] is None and second["affine"] is None
+
+    two = dataclasses.replace(
+        read, codes=(*read.codes, dataclasses.replace(read.codes[0], payload=None, reason="too many wrong"))
+    )
+    monkeypatch.setattr("evqr.offline.read_windows", lambda source, **options: iter([two]))
+    assert run(capsys, "read", recording, "--each-window")[1][0].endswith("LOT 42, too many wrong")
 
     monkeypatch.setattr("evqr.offline.read_windows", lambda source, **options: iter([blank]))
     status, out, _ = run(capsys, "read", recording, "--each-window")

@@ -180,3 +180,17 @@ def test_events_of_the_picture_come_from_any_chunks(tmp_path):
             got = picture.picture_events(recording, sample_results.READING)
         for name in "txyp":
             np.testing.assert_array_equal(getattr(got, name), getattr(wanted, name))
+
+
+def test_a_symbol_that_is_no_square_can_be_drawn():
+    modules = np.where(np.random.default_rng(1).random((11, 27)) < 0.5, -1, 1).astype(np.int8)
+    corners = np.array([[10.0, 10.0], [118.0, 10.0], [118.0, 54.0], [10.0, 54.0]])  # 4 px a module
+    reading = sample_results.reading(
+        symbology="RMQRCode", version="R11x27", mask=None, corners_px=corners, modules=modules,
+        estimate=modules.astype(np.float32),
+    )  # fmt: skip
+    start, end = picture.span_us(reading)
+    assert end - start == round(3 * 4 / 4031.13 * 1e6)
+    figure = picture.draw_reading(moving_dots(reading), reading)
+    assert any("RMQRCode R11x27-M" in text.get_text() for text in figure.texts)
+    assert panel(figure, "modules, estimated").images[0].get_array().shape == (11, 27)

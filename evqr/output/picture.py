@@ -162,7 +162,7 @@ def _draw_heading(figure: Figure, reading: CodeReading) -> None:
     text = text if len(text) <= 60 else text[:59] + "\N{HORIZONTAL ELLIPSIS}"
     speed = float(np.hypot(*reading.motion_px_per_s))
     facts = (
-        f"{reading.symbology} {reading.version}-{reading.ec_level}",
+        reading.symbol,
         f"{speed / 1000:.2f} px/ms = {speed / _module_px(reading):.0f} modules/s",
         f"confidence {reading.confidence:.3f}",
         f"windows {reading.windows}",
@@ -315,7 +315,7 @@ def _module_px(reading: CodeReading) -> float:
     """Size of a module in the image: the root of its mean area [px]."""
     x, y = reading.corners_px.T
     area = abs(float(x @ np.roll(y, -1) - y @ np.roll(x, -1))) / 2
-    return max(area**0.5 / len(reading.modules), 1e-3)
+    return max((area / (reading.rows * reading.columns)) ** 0.5, 1e-3)
 
 
 def _travel_us(reading: CodeReading, modules: float) -> int:

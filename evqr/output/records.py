@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from evqr.results import CodeReading, ReadResult, ReadStatus, WindowReading, symbol_name
+from evqr.results import CodeReading, ReadResult, ReadStatus, WindowReading
 from evqr.symbol.gs1 import SEPARATOR
 from evqr.symbol.messages import Message
 from evqr.symbol.payload import ContentType, Payload
@@ -56,11 +56,12 @@ def _reading_record(
 def reading_text(reading: CodeReading) -> str:
     """Describe a reading in a few lines; the first is the text of the code and nothing else."""
     vx, vy = reading.motion_px_per_s
+    mask = "" if reading.mask is None else f", mask {reading.mask}"
     corners = "  ".join(f"({x:.1f}, {y:.1f})" for x, y in reading.corners_px)
     return "\n".join(
         (
             payload_text(reading),
-            f"  symbol      {_symbol(reading)}, codewords corrected: {reading.errors_corrected}",
+            f"  symbol      {reading.symbol}{mask}, codewords corrected: {reading.errors_corrected}",
             f"  content     {_content(reading)}",
             *(f"  element     {printable(str(element))}" for element in reading.gs1),
             *(f"  part        {part}" for part in [reading.structured_append] if part),
@@ -98,8 +99,8 @@ def result_text(result: ReadResult) -> str:
 
 def window_text(window: WindowReading) -> str:
     """Describe a window in one line."""
-    payload = window.codes[0].payload if window.codes else None
-    outcome = window.reason if payload is None else payload_text(payload)
+    codes = (payload_text(code.payload) if code.payload else code.reason for code in window.codes)
+    outcome = ", ".join(codes) or window.reason
     total = window.compute_ms.get("total", 0.0)
     return (
         f"{window.window:5d}  {window.t_start_us}..{window.t_end_us} us  {window.n_events:7d} events  "
@@ -145,11 +146,6 @@ def _content(reading: CodeReading) -> str:
         source += f" {', '.join(map(str, reading.eci))}"
     charset = f"{reading.charset or 'characters'} ({source})"
     return f"{reading.content_type}, {reading.symbology_identifier or 'no identifier'}, {charset}"
-
-
-def _symbol(reading: CodeReading) -> str:
-    name = f"{reading.symbology} {symbol_name(reading.version, reading.ec_level)}"
-    return name if reading.mask is None else f"{name}, mask {reading.mask}"
 
 
 def _milliseconds_text(stages: Mapping[str, float]) -> str:
