@@ -86,7 +86,8 @@ def parse_columns(columns: str | Sequence[str]) -> Columns:
 def fitting_orders(table: Sequence[NDArray], sensor: tuple[int, int] | None) -> list[Columns]:
     """Return the orders of t, x, y, p that four columns of values allow.
 
-    Polarities are of two values; coordinates are whole and inside the sensor; times do not fall.
+    Polarities are of two values; coordinates are whole and inside the sensor; times do not fall, or, where no
+    column never falls, do so seldom.
 
     Parameters
     ----------
@@ -102,11 +103,11 @@ def fitting_orders(table: Sequence[NDArray], sensor: tuple[int, int] | None) -> 
     def inside(v: NDArray, size: int) -> bool:
         return bool(np.mean((v == np.rint(v)) & (v >= 0) & (v < size)) >= FIT)
 
-    def time(i: int) -> bool:
+    def time(i: int, most_falls: float) -> bool:
         v = values[i]
         if np.mean(np.isfinite(v) & (v >= 0)) < FIT:
             return False
-        return len(v) < 2 or float(np.mean(np.diff(v) < 0)) <= MAX_FALLS
+        return len(v) < 2 or float(np.mean(np.diff(v) < 0)) <= most_falls
 
     def polarity(i: int) -> bool:
         # both 0 and -1 for darker is a mixture, which is no polarity
@@ -116,12 +117,16 @@ def fitting_orders(table: Sequence[NDArray], sensor: tuple[int, int] | None) -> 
         )
 
     roles = {
-        "t": [time(i) for i in range(4)],
         "p": [polarity(i) for i in range(4)],
         "x": [inside(v, width) for v in values],
         "y": [inside(v, height) for v in values],
     }
-    return [order for order in ORDERS if all(roles[column][i] for i, column in enumerate(order))]
+    for most_falls in (0.0, MAX_FALLS):
+        roles["t"] = [time(i, most_falls) for i in range(4)]
+        orders = [o for o in ORDERS if all(roles[column][i] for i, column in enumerate(o))]
+        if orders:
+            return orders
+    return []
 
 
 def settle_order(

@@ -266,3 +266,15 @@ def test_units_below_the_names(tmp_path, units):
     got, recording = read(tmp_path / "a", f"t,x,y,p\n{units}\n" + rows(EVENTS, "{t}000,{x},{y},{p}"))
     assert_same_events(got, EVENTS)
     assert (recording.time_unit, "below the names" in recording.time_unit_reason) == ("ns", True)
+
+
+def test_rows_of_pixels_are_no_times(tmp_path):
+    """Simulators write the events of a time row by row, so that coordinates seldom fall."""
+    t = np.repeat(np.arange(50), 40)
+    x, y = np.tile(np.arange(40), 50), np.tile(np.arange(40) // 10, 50)
+    p = np.arange(2000) % 3 % 2
+    events = EventArray(
+        t, x.astype(np.uint16), y.astype(np.uint16), (2 * p - 1).astype(np.int8), WIDTH, HEIGHT
+    )
+    got, _ = read(tmp_path / "a", rows(events, "{x},{y},{p},{t}"), time_unit="us")
+    assert_same_events(got, events)
