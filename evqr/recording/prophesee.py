@@ -158,4 +158,4 @@ class Evt3Source(Source):
                     events = decoder.feed(data[: len(data) - len(data) % EVT3_WORD_BYTES])
                 yield RawColumns(events.timestamp, events.x, events.y, events.polarity)
         if rest:
-            faults.cut(f"{rest} byte after the last whole word of {EVT3_WORD_BYTES}")
+            faults.cut(f"{rest} byte{'s' * (rest != 1)} after the last whole word of {EVT3_WORD_BYTES}")

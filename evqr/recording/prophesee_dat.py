@@ -84,4 +84,4 @@ class DatSource(Source):
                     ((place >> (x_bits + y_bits)) & 1).astype(np.uint8),
                 )
         if rest:
-            faults.cut(f"{rest} bytes after the last whole record of {RECORD.itemsize}")
+            faults.cut(f"{rest} byte{'s' * (rest != 1)} after the last whole record of {RECORD.itemsize}")

@@ -205,4 +205,4 @@ class WordSource(Source):
                     yield RawColumns(*(column[first : first + chunk_events] for column in raw))
         if rest or decoder.opened:
             rest += decoder.opened * self._words.bytes
-            faults.cut(f"{rest} bytes after the last whole word of {self._words.bytes}")
+            faults.cut(f"{rest} byte{'s' * (rest != 1)} after the last whole word of {self._words.bytes}")
