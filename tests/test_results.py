@@ -11,7 +11,8 @@ import sample_results
 from hypothesis import given
 from hypothesis import strategies as st
 
-from evqr import errors
+from evqr import EventBuffer, Solver, errors, open_recording
+from evqr.demo import demo_recording
 from evqr.reason import Reason
 from evqr.results import ReadResult, ReadStatus, Statistics, WindowReading
 from evqr.values import FrozenDict, Value, plain, read_only
@@ -216,3 +217,51 @@ def test_a_result_in_short():
     assert str(sample_results.no_read_result()) == "no_read: no finder pattern was seen"
     assert str(ReadResult(ReadStatus.ERROR, "it is empty", source="x.h5")) == "x.h5: error: it is empty"
     assert str(sample_results.WINDOW) == "window 0, 1000 to 1250 us: 'LOT 42' (QRCode 1-M)"
+
+
+@pytest.fixture(scope="module")
+def steps():
+    """What each step of the solver gives, on the recording that comes with evqr."""
+    with demo_recording() as path, open_recording(path) as recording:
+        events = EventBuffer.of(recording.read())
+    solver = Solver()
+    at = (events.first_us + events.last_us) // 2
+    moving = events.answer(solver.motion_at(at))
+    window = events.window(at, at + solver.window_us(moving.motion))
+    found = solver.find(window, moving.motion)
+    nothing = solver.find(window.keep(np.arange(len(window)) % 50 == 0), moving.motion)
+    estimate = solver.solve(found)
+    return {
+        type(each).__name__: each
+        for each in (
+            moving,
+            moving.motion,
+            found,
+            found.target,
+            nothing,
+            estimate,
+            found.equations,
+            found.space,
+        )
+    }
+
+
+@pytest.mark.parametrize(
+    "name",
+    "MotionEstimate Motion Detection Target NotFound CodeEstimate NormalEquations CodeSpace".split(),
+)
+def test_what_the_solver_gives_are_values_too(name, steps):
+    value = steps[name]
+    for other in (pickle.loads(pickle.dumps(value)), copy.deepcopy(value)):
+        assert other == value and hash(other) == hash(value)
+        assert not any(array.flags.writeable for array in arrays(other))
+    assert not any(array.flags.writeable for array in arrays(value))
+    assert len(str(value)) < 400 and "\n" not in str(value)
+    if name != "CodeSpace":
+        assert json.loads(value.to_json()) == value.to_dict()
+
+
+def test_a_detection_is_told_in_short(steps):
+    record = steps["Detection"].to_dict()
+    assert record["target"]["space"] == {"symbology": "QRCode", "version": 3}
+    assert "equations" not in record and record["timings_ms"]

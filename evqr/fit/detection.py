@@ -124,7 +124,7 @@ class Detection(Value):
     gain: NDArray[np.float64]
     score: float
     noise: float
-    equations: NormalEquations
+    equations: NormalEquations = field(repr=False)
     iterations: int
     timings_ms: Mapping[str, float] = field(default=NO_TIMINGS, compare=False)
 

@@ -93,7 +93,7 @@ class NormalEquations(Value):
 
 
 @dataclass(frozen=True, eq=False)
-class CodeEstimate:
+class CodeEstimate(Value):
     """Modules of one solve.
 
     Attributes
