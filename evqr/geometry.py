@@ -34,6 +34,23 @@ def outline(pose: NDArray[np.float64], shape: tuple[int, int], margin: float = 0
     return (corners[:2] / corners[2]).T
 
 
+def bounds(
+    pose: NDArray[np.float64], shape: tuple[int, int], margin: float = 0.0
+) -> tuple[float, float, float, float]:
+    """Left, top, right and bottom end of a code in the image, with a margin around it [modules] [px]."""
+    # as `outline`, but in Python: four corners are too few for NumPy to be faster
+    (a, b, p), (d, e, q), (g, h, r) = pose.tolist()
+    x, y = [], []
+    for u, v in (
+        (-margin, -margin), (shape[1] + margin, -margin),
+        (shape[1] + margin, shape[0] + margin), (-margin, shape[0] + margin),
+    ):  # fmt: skip
+        w = g * u + h * v + r
+        x.append((a * u + b * v + p) / w)
+        y.append((d * u + e * v + q) / w)
+    return min(x), min(y), max(x), max(y)
+
+
 def at_centre(
     pose: NDArray[np.float64], shape: tuple[int, int]
 ) -> tuple[tuple[float, float], tuple[float, float, float, float]]:

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from evqr.config import AlignConfig
 from evqr.fit.model import quiet_modules
-from evqr.geometry import module_px, outline
+from evqr.geometry import bounds, module_px
 from evqr.symbol.space import CodeSpace
 
 GRAIN = 16
@@ -54,11 +54,10 @@ def region_around(
     pose: NDArray[np.float64], space: CodeSpace, cfg: AlignConfig, *, margin_px: float = 0.0
 ) -> Region:
     """Give the region that holds a code and its quiet zone."""
-    corners = outline(pose, space.shape, quiet_modules(space) + 1.0)
+    left, top, right, bottom = bounds(pose, space.shape, quiet_modules(space) + 1.0)
     cell = module_px(pose, space.shape) / cfg.cells_a_module
-    low = [min(along) - margin_px for along in corners.T.tolist()]
-    high = [max(along) + margin_px for along in corners.T.tolist()]
-    width, height = (
-        math.ceil((last - first) / cell / GRAIN) * GRAIN for first, last in zip(low, high, strict=True)
+    height, width = (
+        math.ceil((extent + 2.0 * margin_px) / cell / GRAIN) * GRAIN
+        for extent in (bottom - top, right - left)
     )
-    return Region(low[0], low[1], cell, height, width)
+    return Region(left - margin_px, top - margin_px, cell, height, width)

@@ -10,7 +10,7 @@ from evqr.events.array import EventArray
 from evqr.events.window import Window
 from evqr.fit.model import quiet_modules
 from evqr.fit.region import Region, region_around
-from evqr.geometry import module_px, outline
+from evqr.geometry import bounds, module_px, outline
 from evqr.motion import Motion
 from evqr.symbol import qr
 
@@ -44,6 +44,12 @@ def test_outline_goes_round_from_the_top_left(pose):
     np.testing.assert_allclose(corners, [(x / z, y / z) for x, y, z in expected])
     wider = outline(pose, SPACE.shape, 2.0)
     np.testing.assert_allclose(wider[0], (pose @ (-2.0, -2.0, 1.0))[:2] / (pose @ (-2.0, -2.0, 1.0))[2])
+
+
+@pytest.mark.parametrize("pose", [POSE, TILTED, -POSE], ids=["affine", "tilted", "turned"])
+def test_bounds_are_those_of_the_outline(pose):
+    corners = outline(pose, (9, 27), 1.5)
+    np.testing.assert_allclose(bounds(pose, (9, 27), 1.5), [*corners.min(axis=0), *corners.max(axis=0)])
 
 
 @pytest.mark.parametrize("pose", [POSE, TILTED], ids=["affine", "tilted"])
