@@ -18,6 +18,8 @@ from evqr import main as cli
 from evqr.cli import commands
 from evqr.reason import Reason
 from evqr.results import ReadResult, ReadStatus
+from evqr.symbol.gs1 import elements_of
+from evqr.symbol.payload import ContentType, StructuredAppend
 
 READING_KEYS = (
     "status text bytes_base64 symbology version ec_level mask rows columns t_first_us t_last_us t_read_us "
@@ -86,6 +88,43 @@ def test_json_is_one_line_a_reading_whatever_the_text(capsys, reads, recording):
     status, out, _ = run(capsys, "read", recording, "--json")
     assert status == 0
     assert [json.loads(line)["text"] for line in out] == [nasty, "b"]
+
+
+def test_what_a_code_says_beside_its_text(capsys, reads, recording, monkeypatch):
+    monkeypatch.setitem(sys.modules, "biip", None)
+    elements_of.cache_clear()
+    gs1 = sample_results.reading(
+        text="10A\x1d21B", data=b"10A\x1d21B", symbology_identifier="]Q3", content_type=ContentType.GS1
+    )
+    parts = [
+        sample_results.reading(
+            text=text,
+            data=text.encode(),
+            symbology_identifier="]Q1",
+            structured_append=StructuredAppend(**part),
+        )
+        for text, part in (
+            ("two", {"index": 1, "count": 2, "parity": 22}),
+            ("one", {"index": 0, "count": 2, "parity": 22}),
+            ("three", {"index": 2, "count": 3, "parity": 7}),
+        )
+    ]
+    reads(sample_results.read_result(gs1, gs1, *parts))
+    status, out, err = run(capsys, "read", recording)
+    assert (status, out[0]) == (0, "10A<GS>21B")
+    assert "  content     gs1, ]Q3, several character sets (guessed)" in out
+    assert "  message     part 2 of 2, parity 22" in out
+    assert out[-2].startswith("message of 2 parts, parity 22: 'onetwo'")
+    assert out[-1] == "message of 3 parts, parity 7: 1 passed, missing: 1, 2"
+    assert len(err) == 1 and 'pip install "evqr[gs1]"' in err[0]  # once, for two codes
+
+    _, out, _ = run(capsys, "read", recording, "--json")
+    records = [json.loads(line) for line in out]
+    assert records[0]["gs1"] == [] and "evqr[gs1]" in records[0]["warnings"][0]
+    assert records[2]["structured_append"] == {"index": 1, "count": 2, "parity": 22}
+    assert records[2]["message"] == records[3]["message"] and records[2]["message"]["text"] == "onetwo"
+    assert (records[4]["message"]["text"], records[4]["message"]["missing"]) == (None, [0, 1])
+    elements_of.cache_clear()
 
 
 def test_text_of_a_reading(capsys, reads, recording):
@@ -246,6 +285,10 @@ def test_jobs_read_in_workers(capsys, tmp_path):
         ("read FILE --max-windows few", "'few'"),
         ("read FILE --lag-us 300", "'300' is no pair of lags"),
         ("read FILE --vote loudest", "'loudest'"),
+        (
+            "read FILE --charset klingon",
+            "charset must be a name, as utf-8 or shift_jis, or None, got 'klingon'",
+        ),
         ("read FILE --backend cobol", "'cobol'"),
         ("read FILE FILE --each-window", "--each-window takes one recording"),
         ("read FILE FILE --picture p.png", "--picture takes one recording"),

@@ -105,10 +105,7 @@ def read(
         from evqr.output.picture import require_drawable
 
         require_drawable(picture)
-    decode = None if charset is None else {"charset": charset}
-    config = _read_config(
-        window_us=window_us, max_windows=max_windows, lag_us=lag_us, vote=vote, decode=decode
-    )
+    config = _read_config(charset, window_us=window_us, max_windows=max_windows, lag_us=lag_us, vote=vote)
     compute = {"config": config, "backend": backend, "device": device}
     if len(recordings) != 1:
         _prepare(backend, device)
@@ -125,10 +122,11 @@ def read(
     return status
 
 
-def _read_config(**given: Any) -> ReadConfig:
-    from evqr.config import ReadConfig
+def _read_config(charset: str | None, **given: Any) -> ReadConfig:
+    from evqr.config import DecodeConfig, ReadConfig
 
     try:
+        given["decode"] = DecodeConfig(charset=charset)
         return ReadConfig(**{name: value for name, value in given.items() if value is not None})
     except (TypeError, ValueError) as error:
         raise UsageError(str(error)) from error
@@ -306,6 +304,10 @@ def convert(recording: Path, output: Path, opening: RecordingOptions, force: boo
 )
 @click.option("--tilt", type=float, default=0.0, show_default=True, help="Of the object's plane [deg].")
 @click.option("--invert", is_flag=True, help="Print light on dark.")
+@click.option("--gs1", is_flag=True, help="Texts are GS1 messages, as (01)09506000134352(10)LOT42.")
+@click.option("--eci", type=click.IntRange(0, 999_999), metavar="N", help="ECI designator, as 26 for UTF-8.")
+@click.option("--charset", metavar="NAME", help="Character set of the text, as utf-8; default: of the ECI.")
+@click.option("--append", is_flag=True, help="The texts are parts of one message (structured append).")
 @click.option("--no-code", is_flag=True, help="Print things that look a little like a code, but no code.")
 @click.option(
     "--sensor", type=SizeType(), metavar="WxH", default="640x480", show_default=True, help="Sensor size."
@@ -333,6 +335,10 @@ def simulate(
     preset: str,
     tilt: float,
     invert: bool,
+    gs1: bool,
+    eci: int | None,
+    charset: str | None,
+    append: bool,
     no_code: bool,
     sensor: tuple[int, int],
     duration_us: int | None,
@@ -362,6 +368,10 @@ def simulate(
         preset=preset,
         tilt=tilt,
         invert=invert,
+        gs1=gs1,
+        eci=eci,
+        charset=charset,
+        append=append,
         code=not no_code,
         width=sensor[0],
         height=sensor[1],

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from evqr.errors import MissingExtra, UsageError
 from evqr.events.array import EventArray
-from evqr.output.records import printable
+from evqr.output.records import payload_text
 from evqr.results import CodeReading
 
 if TYPE_CHECKING:
@@ -158,7 +158,7 @@ def figure_class() -> type[Figure]:
 
 
 def _draw_heading(figure: Figure, reading: CodeReading) -> None:
-    text = printable(reading.text)
+    text = payload_text(reading)
     text = text if len(text) <= 60 else text[:59] + "\N{HORIZONTAL ELLIPSIS}"
     speed = float(np.hypot(*reading.motion_px_per_s))
     facts = (

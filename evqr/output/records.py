@@ -64,7 +64,7 @@ def reading_text(reading: CodeReading) -> str:
             f"  symbol      {reading.symbol}{mask}, codewords corrected: {reading.errors_corrected}",
             f"  content     {_content(reading)}",
             *(f"  element     {printable(str(element))}" for element in reading.gs1),
-            *(f"  part        {part}" for part in [reading.structured_append] if part),
+            *(f"  message     {part}" for part in [reading.structured_append] if part),
             f"  confidence  {reading.confidence:.3f}",
             f"  time        seen {reading.t_first_us} to {reading.t_last_us} us, "
             f"read at {reading.t_read_us} us, windows used: {reading.windows}",
@@ -144,7 +144,8 @@ def _content(reading: CodeReading) -> str:
     source = reading.charset_source.value
     if reading.eci:
         source += f" {', '.join(map(str, reading.eci))}"
-    charset = f"{reading.charset or 'characters'} ({source})"
+    unnamed = "bytes" if reading.content_type is ContentType.UNKNOWN_ECI else "several character sets"
+    charset = f"{reading.charset or unnamed} ({source})"
     return f"{reading.content_type}, {reading.symbology_identifier or 'no identifier'}, {charset}"
 
 

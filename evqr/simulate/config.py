@@ -9,6 +9,8 @@ from types import MappingProxyType
 from typing import Literal
 
 from evqr.errors import UsageError
+from evqr.simulate.qr_writer import charset_of, gs1_message
+from evqr.symbol.payload import StructuredAppend
 from evqr.symbol.space import Symbology, Version
 from evqr.symbol.symbols import SYMBOLS
 
@@ -47,6 +49,15 @@ class CodePlacement:
         Of the code's centre from the object's centre: along the travel, across it.
     invert : bool
         Print light on dark.
+    gs1 : bool
+        A GS1 message (QR codes only): ``(01)09506000134352(10)LOT42``, or with separators (0x1d).
+    eci : int, optional
+        ECI designator, 0 to 999999, which names the character set of the text (QR codes only); None: none.
+    charset : str, optional
+        Character set in which the text is written, as utf-8; None: that of the ECI, or the first of
+        ISO 8859-1, Shift JIS and UTF-8 that has the text. With "latin-1" a text can be any bytes.
+    append : StructuredAppend, optional
+        Which part of a message it is (QR codes only).
     """
 
     text: str
@@ -58,6 +69,10 @@ class CodePlacement:
     angle: float = 30.0
     offset_px: tuple[float, float] = (0.0, 0.0)
     invert: bool = False
+    gs1: bool = False
+    eci: int | None = None
+    charset: str | None = None
+    append: StructuredAppend | None = None
 
     def __post_init__(self):
         _require(bool(self.text), "text", self.text, "at least one character")
@@ -74,6 +89,24 @@ class CodePlacement:
         _require(self.mask is None or 0 <= self.mask < masks, "mask", self.mask, f"0 to {masks - 1}")
         _require(1.0 <= self.module_px <= 100.0, "module_px", self.module_px, "1 to 100 px")
         _require(math.isfinite(self.angle), "angle", self.angle, "a finite number of degrees")
+        self._check_content(symbology)
+
+    def _check_content(self, symbology: Symbology) -> None:
+        beside = {"gs1": self.gs1 or None, "eci": self.eci, "append": self.append}
+        if symbology is not Symbology.QR_CODE:
+            for name, value in beside.items():
+                _require(value is None, name, value, f"left out: {symbology} has none")
+        _require(self.eci is None or 0 <= self.eci <= 999_999, "eci", self.eci, "0 to 999999")
+        if self.append is not None:
+            _require(2 <= self.append.count <= 16, "append", self.append, "of 2 to 16 parts")
+            _require(0 <= self.append.index < self.append.count, "append", self.append, "one of its parts")
+            _require(0 <= self.append.parity <= 255, "append", self.append, "of a parity from 0 to 255")
+        if self.gs1:
+            object.__setattr__(self, "text", gs1_message(self.text))
+        try:
+            self.text.encode(charset_of(self.charset, self.eci) or "utf-8")
+        except (LookupError, ValueError):
+            raise UsageError(f"simulate: charset {self.charset!r} does not write {self.text!r}") from None
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
 
 import numpy as np
 import segno
@@ -10,6 +11,8 @@ from numpy.typing import NDArray
 
 from evqr.errors import UsageError
 from evqr.simulate.config import CodePlacement
+from evqr.simulate.qr_writer import charset_of, parity_of, write_qr
+from evqr.symbol.payload import StructuredAppend
 from evqr.symbol.space import CodeSpace, Symbology
 from evqr.symbol.symbols import space_of
 
@@ -39,13 +42,49 @@ class PrintedSymbol:
     modules: NDArray[np.uint8]
 
 
+def parts_of_a_message(placements: Sequence[CodePlacement]) -> list[CodePlacement]:
+    """Make codes the parts of one message (structured append), in order; raise UsageError for one alone."""
+    if not 2 <= len(placements) <= 16:
+        raise UsageError(
+            f"simulate: a message has 2 to 16 parts, got {len(placements)}; give a text for each"
+        )
+    charset = charset_of(placements[0].charset, placements[0].eci)
+    parity = parity_of([placement.text for placement in placements], charset)
+    count = len(placements)
+    return [
+        replace(placement, append=StructuredAppend(index=index, count=count, parity=parity))
+        for index, placement in enumerate(placements)
+    ]
+
+
 def make_symbol(placement: CodePlacement) -> PrintedSymbol:
     """Encode a placement's text; raise UsageError where the version cannot hold it."""
     p, symbology = placement, Symbology(placement.symbology)
     micro = symbology is Symbology.MICRO_QR_CODE
     level = None if p.version == "M1" else p.ec  # which has none
     try:
-        code = segno.make(p.text, version=p.version, error=level, mask=p.mask, micro=micro, boost_error=False)
+        if p.gs1 or p.append is not None or (not micro and (p.eci is not None or p.charset is not None)):
+            code = write_qr(
+                p.text,
+                version=None if p.version is None else int(p.version),
+                level=p.ec,
+                mask=p.mask,
+                gs1=p.gs1,
+                eci=p.eci,
+                charset=p.charset,
+                append=p.append,
+            )
+        else:
+            code = segno.make(
+                p.text,
+                version=p.version,
+                error=level,
+                mask=p.mask,
+                micro=micro,
+                boost_error=False,
+                encoding=p.charset,
+                mode="byte" if p.charset is not None and not p.text.isascii() else None,
+            )
     except segno.DataOverflowError:
         asked = "any version" if p.version is None else f"version {p.version}"
         raise UsageError(

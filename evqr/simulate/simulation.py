@@ -18,7 +18,7 @@ from evqr.simulate.config import (
     sensor_of,
 )
 from evqr.simulate.geometry import in_a_row, plan_motion
-from evqr.simulate.printed import make_symbol
+from evqr.simulate.printed import make_symbol, parts_of_a_message
 from evqr.simulate.sensor import add_noise, draw_pixels, read_out, run_pixels
 from evqr.simulate.texture import draw_background, draw_object
 from evqr.simulate.truth import truth_of
@@ -61,6 +61,10 @@ def simulate(
     preset: str | SensorConfig = "clean",
     tilt: float = 0.0,
     invert: bool = False,
+    gs1: bool = False,
+    eci: int | None = None,
+    charset: str | None = None,
+    append: bool = False,
     code: bool = True,
     codes: Sequence[CodePlacement] | None = None,
     duration_us: int | None = None,
@@ -76,8 +80,10 @@ def simulate(
     ----------
     text : str or sequence of str
         What the code says; several make as many codes, one behind the other.
-    symbology, version, ec, mask, angle, module_px, invert : as in `CodePlacement`
+    symbology, version, ec, mask, angle, module_px, invert, gs1, eci, charset : as in `CodePlacement`
         Of the codes.
+    append : bool
+        The codes are the parts of one message (structured append).
     direction, tilt, duration_us, start, width, height, seed : as in `SceneConfig`
         Of the scene.
     speed_px_ms : float [px/ms], optional
@@ -117,8 +123,12 @@ def simulate(
             module_px=module_px,
             angle=angle,
             invert=invert,
+            gs1=gs1,
+            eci=eci,
+            charset=charset,
         )
-        codes = in_a_row([replace(alike, text=each) for each in texts], direction) if code else []
+        placements = [replace(alike, text=each) for each in texts] if code else []
+        codes = in_a_row(parts_of_a_message(placements) if append else placements, direction)
     scene = SceneConfig(
         codes=tuple(codes),
         width=width,
