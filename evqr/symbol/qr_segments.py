@@ -133,11 +133,12 @@ def _run(bits: _Bits, mode: int, count: int, fnc1: bool) -> Run:
 
     if mode == consts.MODE_NUMERIC:
         bits.take(count // 3 * 10 + (0, 4, 7)[count % 3])
-    elif mode == consts.MODE_ALPHANUMERIC:
+    elif mode == consts.MODE_ALPHANUMERIC and not fnc1:
+        bits.take(count // 2 * 11 + count % 2 * 6)
+    elif mode == consts.MODE_ALPHANUMERIC:  # where "%%" is one "%", the 38th character
         values = [value for _ in range(count // 2) for value in divmod(bits.take(11), 45)]
         values += [bits.take(6) for _ in range(count % 2)]
-        if fnc1:  # where "%%" is one "%", the 38th character
-            count = len(bytes(values).replace(b"\x26\x26", b"\x26"))
+        count = len(bytes(values).replace(b"\x26\x26", b"\x26"))
     elif mode == consts.MODE_BYTE:
         bits.take(8 * count)
         return Run(length=count, charset=None)
