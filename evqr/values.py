@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import base64
 import dataclasses
+import functools
 import json
 import math
 from collections.abc import Hashable, Mapping
@@ -74,7 +75,8 @@ class Value:
     """
 
     def __post_init__(self) -> None:
-        for name, value in vars(self).items():
+        for name in _may_change(type(self)):
+            value = getattr(self, name)
             if isinstance(value, np.ndarray):
                 object.__setattr__(self, name, read_only(value, value.dtype))
             elif isinstance(value, dict) and not isinstance(value, FrozenDict):
@@ -177,6 +179,17 @@ def json_line(record: Mapping[str, Any]) -> str:
         A value is of a type that has no place in JSON.
     """
     return json.dumps(plain(record), allow_nan=False)
+
+
+NEVER_CHANGE = ("int", "float", "bool", "str", "bytes")
+"""Types, as annotations have them, of fields that need not be looked at: there are many a window."""
+
+
+@functools.cache
+def _may_change(kind: type) -> tuple[str, ...]:
+    """Return the fields that an array or a dict could be in."""
+    never = {*NEVER_CHANGE, *(f"{name} | None" for name in NEVER_CHANGE)}
+    return tuple(field.name for field in dataclasses.fields(kind) if field.type not in never)
 
 
 def _compared(value: Any) -> list[str]:

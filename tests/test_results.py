@@ -86,7 +86,9 @@ class Sample(Value):
     hidden: int = dataclasses.field(default=0, compare=False, repr=False)
 
 
-ARRAYS = st.lists(st.floats() | st.sampled_from([0.0, -0.0]), max_size=4).map(np.array)
+# no subnormal numbers: compiled kernels let the process take them for 0
+FLOATS = st.floats(allow_subnormal=False) | st.sampled_from([0.0, -0.0])
+ARRAYS = st.lists(FLOATS, max_size=4).map(np.array)
 
 
 @given(ARRAYS, ARRAYS)
