@@ -22,7 +22,7 @@ from evqr.fit.region import region_around
 from evqr.launched import LAUNCHED
 from evqr.motion import Motion
 from evqr.reason import Reason
-from evqr.search.finder import find_hypotheses
+from evqr.search.finder import Found, find_hypotheses
 from evqr.search.hypothesis import Layout
 from evqr.search.motion_estimate import MotionEstimate, estimate_motion, find_motion
 from evqr.search.passes import search_passes
@@ -138,40 +138,42 @@ class Solver:
         found : Detection or NotFound
             At the middle of the window, with its timings.
         """
-        clock = StageClock()
+        clock, finder = StageClock(), self.config.finder
+        tau_us = self.config.lag_us or tau_us
         best: Detection | NotFound = NotFound(Reason.NOTHING_MOVES)
-        for layout in Layout:
-            if isinstance(best, Detection):
-                break
-            passes = search_passes(window, motion, self.config.finder, thorough=thorough)
-            for heading, search_pass in passes:
-                found = self._find(window, heading, layout, search_pass, self.config.lag_us or tau_us, clock)
-                best = max(found, best, key=_closeness)
+        for heading, search_pass in search_passes(window, motion, finder, thorough=thorough):
+            with clock("finder"):
+                found = find_hypotheses(
+                    window, heading, finder, workspace=self.workspace, search_pass=search_pass,
+                    lag_px=NO_LAG if tau_us == NO_LAG else None,
+                )  # fmt: skip
+            for layout in Layout:
                 if isinstance(best, Detection) and best.score >= self.config.align.good_score:
                     break
+                tried = self._find(window, heading, found, layout, search_pass, tau_us, clock)
+                best = max(tried, best, key=_closeness)
+            if isinstance(best, Detection) and best.score >= self.config.align.good_score:
+                break
         return replace(best, timings_ms=clock.ms)
 
     def _find(
         self,
         window: Window,
         motion: Motion,
+        found: Found,
         layout: Layout,
         search_pass: SearchPass,
         tau_us: tuple[float, float] | None,
         clock: StageClock,
     ) -> Detection | NotFound:
-        """Find a code of one layout in one pass, along one motion."""
+        """Find a code of one layout in what a search along one motion found."""
         cfg, one, workspace = self.config, self.config.align, self.workspace
-        with clock("finder"):
-            found = find_hypotheses(
-                window, motion, cfg.finder, workspace=workspace, search_pass=search_pass, layout=layout,
-                lag_px=NO_LAG if tau_us == NO_LAG else None,
-            )  # fmt: skip
-        if not found.hypotheses:
+        hypotheses = found.hypotheses(layout)
+        if not hypotheses:
             return NotFound(Reason.NO_FINDER_PATTERNS, f"{len(found.peaks)} candidates")
         best: Detection | None = None
         closest, iterations = 0.0, 0
-        for batch in batches(found.hypotheses, cfg.finder.first_hypotheses):
+        for batch in batches(hypotheses, cfg.finder.first_hypotheses):
             with clock("pose"):
                 candidates, steps = screen(batch, found.pyramid, one, workspace=workspace)
             candidates = [candidate for candidate in candidates if candidate.score >= search_pass.min_score]
@@ -186,11 +188,14 @@ class Solver:
             if refined.score < one.min_score:
                 continue
             detection = self._complete(window, refined, tau_us, iterations, clock)
+            if layout is Layout.SINGLE and detection.score < one.single_score:
+                closest = max(closest, detection.score)
+                continue
             if best is None or detection.score > best.score:
                 best = detection
             if best.score >= one.good_score:
                 break
-        detail = f"{closest:.2f}, the best of {len(found.hypotheses)} candidates"
+        detail = f"{closest:.2f}, the best of {len(hypotheses)} candidates"
         return best or NotFound(Reason.DISAGREES, detail, closest)
 
     def _complete(

@@ -28,6 +28,7 @@ from evqr.geometry import outline
 from evqr.motion import Motion
 from evqr.paper.methods import descent, integrate
 from evqr.search.finder import find_hypotheses
+from evqr.search.hypothesis import Layout
 from evqr.search.motion_estimate import MotionEstimate
 from evqr.solver import Solver
 from evqr.symbol.decode import decode_grid
@@ -104,7 +105,7 @@ def _search(
     """Return what the search finds of a code whose place is known: the pose before any refinement."""
     found = find_hypotheses(window, motion, solver.config.finder, workspace=solver.workspace)
     true = seen.at(window.middle_us).outline()
-    poses = [h.pose for h in found.hypotheses if h.space == seen.space]
+    poses = [h.pose for h in found.hypotheses(Layout.THREE_CORNERS) if h.space == seen.space]
     if not poses:
         return None
     shape = seen.space.shape

@@ -43,6 +43,9 @@ class AlignConfig(Settings):
         Score that a shift by one module must gain to be taken. Chosen.
     min_score : float
         Correlation with the known modules below which there is no code, 0 to 1. Chosen.
+    single_score : float
+        The same, to find a symbol with a single finder pattern. Chosen: the corner of a QR code was seen to
+        reach 0.64, symbols with slow and noisy pixels 0.6 to 0.75, others 0.7 to 0.88.
     clear_score : float
         Coarse correlation with which the best triple ends the screening; above 1, never. Chosen: wrong ones,
         turned by a right angle, were seen to reach 0.66.
@@ -69,6 +72,7 @@ class AlignConfig(Settings):
     refined_candidates: Count = 3
     shift_gain: NotNegative = 0.02
     min_score: Share = 0.5
+    single_score: Share = 0.6
     clear_score: NotNegative = 0.75
     good_score: NotNegative = 0.8
     sharp_score: NotNegative = 0.96

@@ -71,7 +71,10 @@ class SearchPass(Settings):
     peaks : int
         Places kept, the best over all sizes. Chosen.
     hypotheses : int
-        Codes that are tried, the best by response. Chosen.
+        Codes with several finder patterns that are tried, the best by response. Chosen.
+    single_patterns : int
+        Finder patterns that are each tried as the only one of a code where no code with several is found, the
+        best by response; 0: none. Chosen.
     min_score : float
         Coarse score that a candidate needs to be refined, -1 to 1. Chosen.
     """
@@ -81,6 +84,7 @@ class SearchPass(Settings):
     floor: NotNegative = 0.3
     peaks: Annotated[int, Range(least=3, most=1024)] = 64
     hypotheses: Count = 48
+    single_patterns: Annotated[int, Range(least=0, most=1024)] = 4
     min_score: Annotated[float, Range(least=-1.0, most=1.0)] = -1.0
 
     def __post_init__(self) -> None:
@@ -95,7 +99,7 @@ class SearchPass(Settings):
 def _quick(smallest_module_px: float, largest_module_px: float) -> SearchPass:
     return SearchPass(
         smallest_module_px=smallest_module_px, largest_module_px=largest_module_px, floor=0.8, peaks=24,
-        hypotheses=4, min_score=0.5,
+        hypotheses=4, single_patterns=0, min_score=0.5,
     )  # fmt: skip
 
 

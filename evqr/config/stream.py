@@ -54,6 +54,9 @@ class TrackConfig(Settings):
         Between two attempts at decoding with many erasures; the others are quick. Chosen.
     patience : int [windows]
         Without a reading, after which a code that agrees badly with its known modules is given up. Chosen.
+    single_patience : int [windows]
+        The same for a symbol with a single finder pattern. Chosen: it may be another size of the symbol,
+        which a search that knows the motion better tells, or the corner of another code.
     max_misses : int [windows]
         In a row without the code, after which it is lost. Chosen.
     """
@@ -61,4 +64,5 @@ class TrackConfig(Settings):
     baseline: Annotated[int, Range(least=2)] = 8
     full_effort_every: Count = 4
     patience: Count = 16
+    single_patience: Count = 4
     max_misses: Count = 2

@@ -36,15 +36,18 @@ class Level:
     samples : int
         Samples a module.
     tilt : bool
-        Whether perspective is free.
+        Whether perspective is free where there is more than one finder pattern to hold it.
     tolerance : float [modules]
         Step at which it has converged.
+    beyond_patterns : bool
+        Whether only what is known outside of finder patterns counts.
     """
 
     sigma: float
     samples: int
     tilt: bool
     tolerance: float
+    beyond_patterns: bool = False
 
 
 def coarse_levels(cfg: AlignConfig) -> tuple[Level, ...]:
@@ -71,7 +74,7 @@ class Alignment:
     gain : (N, 2) float64
         a_u, a_v.
     score : (N,) float64
-        Normalised correlation of the model with the image on the known modules, -1 to 1.
+        Normalised correlation of the model with the image on the known modules, -1 to 1; see `judged`.
     noise : (N,) float64
         Variance of what the model leaves unexplained, a sample.
     iterations : int
@@ -208,7 +211,35 @@ def align(
     )
     step.write(pose, 0 if image_idx is None else image_idx)
     step.run()
-    return step.read()
+    found = step.read()
+    if levels[-1].beyond_patterns:
+        return found
+    return judged(images, found, space, levels[-1], cfg, workspace=workspace, image_idx=image_idx)
+
+
+def judged(
+    images: Images,
+    found: Alignment,
+    space: CodeSpace,
+    level: Level,
+    cfg: AlignConfig,
+    *,
+    workspace: Workspace,
+    image_idx: NDArray[np.int32] | None = None,
+) -> Alignment:
+    """Give poses with scores that tell kinds and sizes of symbols apart.
+
+    A single finder pattern is most of what is known of a symbol: another size, or another kind that has such
+    a pattern too, agrees with it nearly as well.  Half of the score then is the correlation with the rest,
+    timing and quiet zone, alone.
+    """
+    if not space.single_pattern:
+        return found
+    beyond = align(
+        images, found.pose, space, (replace(level, beyond_patterns=True),), cfg, workspace=workspace,
+        image_idx=image_idx, max_iterations=0,
+    )  # fmt: skip
+    return replace(found, score=0.5 * (found.score + beyond.score))
 
 
 _Tables = tuple[Any, Any, Any, Any, Any, Any]
@@ -216,15 +247,16 @@ _Tables = tuple[Any, Any, Any, Any, Any, Any]
 
 def _tables(space: CodeSpace, level: Level, cfg: AlignConfig, workspace: Workspace) -> _Tables:
     """Give what `align_poses` takes of a level: points, table, gram, terms, factors, settings."""
-    table = pose_table(space, level.sigma, level.samples)
-    terms, factors = _terms(level.tilt)
+    table = pose_table(space, level.sigma, level.samples, level.beyond_patterns)
+    tilt = level.tilt and not space.single_pattern
+    terms, factors = _terms(tilt)
     settings = (*table.centre, *table.scale, cfg.ridge, cfg.damping, level.tolerance)
     return (
         workspace.table(("points", space, level), table.points),
         workspace.table(("table", space, level), table.table),
         workspace.table(("gram", space, level), table.gram.astype(np.float32)),
-        workspace.table(("terms", level.tilt), terms),
-        workspace.table(("factors", level.tilt), factors),
+        workspace.table(("terms", tilt), terms),
+        workspace.table(("factors", tilt), factors),
         workspace.put(np.array(settings, np.float32)),
     )
 

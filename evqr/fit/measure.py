@@ -12,7 +12,7 @@ from dataclasses import dataclass
 
 from evqr.config import ReadConfig
 from evqr.events.window import Window
-from evqr.fit.align import Align, Alignment, fine_levels
+from evqr.fit.align import Align, Alignment, fine_levels, judged
 from evqr.fit.detection import NO_TIMINGS, Detection, Target
 from evqr.fit.image import Deposit, Sharpen, depositing
 from evqr.fit.modules import Equations, NormalEquations
@@ -61,6 +61,7 @@ class Measure(Step):
     ) -> None:
         super().__init__(workspace.backend)
         one = cfg.align
+        self._space, self._cfg, self._workspace = space, one, workspace
         self.sharpen = Sharpen(deposit.cells, 1, one.blur_cells, workspace)
         self.images = self.sharpen.images
         self.align = Align(self.images, 1, space, fine_levels(one), one.max_iterations, one, workspace)
@@ -81,7 +82,9 @@ class Measure(Step):
 
     def read(self) -> Measurement:
         """Wait for the device and give what came out."""
-        alignment = self.align.read()
+        (level,) = fine_levels(self._cfg)
+        found = self.align.read()
+        alignment = judged(self.images, found, self._space, level, self._cfg, workspace=self._workspace)
         return Measurement(alignment, self.equations.read(alignment.gain[0]))
 
 

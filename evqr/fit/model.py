@@ -17,10 +17,13 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from evqr.symbol.space import CodeSpace, read_only
+from evqr.symbol.space import CodeSpace, Landmark, read_only
 
 MOST_QUIET_MODULES = 3
 """Modules of quiet zone around the symbol that the model covers at most; that of a QR code is four wide."""
+
+PATTERN_REACH = 4.5
+"""Half of the width of a finder pattern and its separator [modules]."""
 
 MOMENTS = 20
 """Functions in a pose table: see `PoseTable`."""
@@ -97,8 +100,13 @@ class PoseTable:
 
 
 @functools.lru_cache(maxsize=256)
-def pose_table(space: CodeSpace, sigma: float, samples_a_module: int) -> PoseTable:
-    """Build the table for a code space, a blur [modules] and a sampling; cached."""
+def pose_table(
+    space: CodeSpace, sigma: float, samples_a_module: int, beyond_patterns: bool = False
+) -> PoseTable:
+    """Build the table for a code space, a blur [modules] and a sampling; cached.
+
+    With ``beyond_patterns`` it is for the samples outside the symbol's finder patterns and their separators.
+    """
     across, down = lattices(space, samples_a_module)
     b_u, b_v = (
         profiles(axis[:, None] - np.arange(size), sigma)
@@ -111,6 +119,15 @@ def pose_table(space: CodeSpace, sigma: float, samples_a_module: int) -> PoseTab
         for axis, size in ((across, space.columns), (down, space.rows))
     )
     use = near_v @ (~space.known).astype(np.float64) @ near_u.T < 0.5
+
+    if beyond_patterns:
+        for anchor in space.anchors:
+            if anchor.kind is not Landmark.FINDER_PATTERN:
+                continue
+            beside_u, beside_v = (
+                np.abs(axis - at) > PATTERN_REACH for axis, at in ((across, anchor.u), (down, anchor.v))
+            )
+            use &= beside_v[:, None] | beside_u
 
     def derivative(of_v: int, of_u: int) -> NDArray[np.float64]:
         return (b_v[of_v] @ above_light @ b_u[of_u].T)[use]

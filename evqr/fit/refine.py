@@ -114,7 +114,8 @@ def refine(
         if better is not None:
             found = replace(found, alignment=better)
         tried.append(Refinement(target, region, found, escaped=better is not None))
-        if tried[-1].score >= one.good_score:
+        # with a single finder pattern another size may agree well before the right one has its turn
+        if tried[-1].score >= one.good_score and not target.space.single_pattern:
             break
     best = max(tried, key=lambda refinement: refinement.score)
     iterations = sum(refinement.measurement.alignment.iterations for refinement in tried)

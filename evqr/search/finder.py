@@ -8,6 +8,7 @@ on which a module always has the same size.  Coarse steps are enough: `align` re
 from __future__ import annotations
 
 import math
+from collections.abc import Mapping
 from dataclasses import dataclass
 from functools import cached_property
 from typing import Any
@@ -21,6 +22,7 @@ from evqr.fit.image import Deposit, Sharpen
 from evqr.fit.region import Region
 from evqr.motion import Motion
 from evqr.search.hypothesis import Hypothesis, Layout, Matcher
+from evqr.search.singles import Singles
 from evqr.search.templates import ANGLES, TERMS, bank_along, spans
 from evqr.search.triples import Triples
 from evqr.workspace import EventSlots, Images, Workspace
@@ -111,7 +113,10 @@ class _Search:
         side = 2 * half + 1
         self._basis, self._mix = workspace.mirror((side, side, TERMS)), workspace.mirror((ANGLES, TERMS))
         self._peaks = workspace.mirror((1, search_pass.peaks, 5))
-        self._matchers: dict[Layout, Matcher] = {Layout.THREE_CORNERS: Triples(self._peaks, cfg, workspace)}
+        self._matchers: dict[Layout, Matcher] = {
+            Layout.THREE_CORNERS: Triples(self._peaks, search_pass.hypotheses, cfg, workspace),
+            Layout.SINGLE: Singles(self._peaks, search_pass.single_patterns),
+        }
         disc = workspace.put(spans(cfg))
         self.pyramid: list[PyramidLevel] = []
         padded: list[Any] = []
@@ -127,7 +132,7 @@ class _Search:
             inner = padded[-1][:, half : half + rows, half : half + columns]
             self.pyramid.append(PyramidLevel(cell, Images(inner)))
             modules.append(module_px)
-        self._cfg, self._most, self._run = cfg, search_pass.hypotheses, None
+        self._cfg, self._run = cfg, None
         self._degrees: int | None = None
         if not self.pyramid:
             return
@@ -180,12 +185,10 @@ class _Search:
 
         self._run = backend.record(launch)
 
-    def __call__(
-        self, window: Window, motion: Motion, layout: Layout, lag_px: tuple[float, float] | None
-    ) -> Found:
+    def __call__(self, window: Window, motion: Motion, lag_px: tuple[float, float] | None) -> Found:
         """Find what is in a window."""
         if self._run is None:
-            return Found([], Peaks(np.empty((0, 5), np.float32)), [])
+            return Found({}, Peaks(np.empty((0, 5), np.float32)), [])
         v_x, v_y = motion.velocity.tolist()
         degrees = round(math.degrees(math.atan2(v_y, v_x)))  # as good as it is known
         if degrees != self._degrees:
@@ -199,9 +202,8 @@ class _Search:
         self._deposit.write(window, motion, self._region)
         self._sharpen.write(motion, self._region, [lag_px])
         self._run()
-        hypotheses = self._matchers[layout].read(self._most)
-        peaks = self._peaks.host[0]
-        return Found(hypotheses, Peaks(peaks[: np.count_nonzero(peaks[:, 0])].copy()), self.pyramid)
+        peaks = self._peaks.read()[0]
+        return Found(self._matchers, Peaks(peaks[: np.count_nonzero(peaks[:, 0])].copy()), self.pyramid)
 
 
 @dataclass(frozen=True, eq=False)
@@ -210,17 +212,21 @@ class Found:
 
     Attributes
     ----------
-    hypotheses : list of Hypothesis
-        Codes that might be there, best first.
+    matchers : mapping of Layout to Matcher
+        Who makes hypotheses of the peaks, until the next search.
     peaks : Peaks
-        That they were made of, and others.
+        What looks like a finder pattern.
     pyramid : list of PyramidLevel
         The images that were searched, finest first; they last until the next search.
     """
 
-    hypotheses: list[Hypothesis]
+    matchers: Mapping[Layout, Matcher]
     peaks: Peaks
     pyramid: list[PyramidLevel]
+
+    def hypotheses(self, layout: Layout) -> list[Hypothesis]:
+        """Give the codes with finder patterns laid out so that might be there, best first."""
+        return self.matchers[layout].read() if self.matchers else []
 
 
 def find_hypotheses(
@@ -230,10 +236,9 @@ def find_hypotheses(
     *,
     workspace: Workspace,
     search_pass: SearchPass | None = None,
-    layout: Layout = Layout.THREE_CORNERS,
     lag_px: tuple[float, float] | None = None,
 ) -> Found:
-    """Find finder patterns in a window, and the codes that they could belong to.
+    """Find finder patterns in a window: what the codes that they could belong to are made up from.
 
     Parameters
     ----------
@@ -247,8 +252,6 @@ def find_hypotheses(
         Buffers.
     search_pass : SearchPass
         How thoroughly; default the configured last, most thorough one.
-    layout : Layout
-        Of the finder patterns, which says what symbologies are searched for.
     lag_px : (float, float) [px]
         Lag of the pixels for ON and OFF events along the motion; default as configured.
 
@@ -263,4 +266,4 @@ def find_hypotheses(
         ("search", events.capacity, window.height, window.width, cfg, search_pass),
         lambda: _Search(events, window.height, window.width, cfg, search_pass, workspace),
     )
-    return search(window, motion, layout, lag_px)
+    return search(window, motion, lag_px)

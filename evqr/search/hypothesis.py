@@ -19,10 +19,11 @@ from evqr.symbol.space import CodeSpace
 class Layout(Enum):
     """How symbols carry their finder patterns, in the order in which they are looked for.
 
-    The next one is only looked for where those before it found nothing.
+    The next one is only looked for where those before it found nothing that agrees well.
     """
 
     THREE_CORNERS = "three at the corners of a square, all but the bottom right one"
+    SINGLE = "one"
 
 
 @dataclass(frozen=True, eq=False)
@@ -57,6 +58,6 @@ class Matcher(Protocol):
         """Launch what the device does of it, behind the search."""
         ...
 
-    def read(self, most: int) -> list[Hypothesis]:
-        """Wait for the device and give so many hypotheses, or a few more, best first."""
+    def read(self) -> list[Hypothesis]:
+        """Wait for the device and give hypotheses, best first."""
         ...

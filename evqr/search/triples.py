@@ -55,8 +55,9 @@ class Triples(Step):
     Corner i sees its neighbours j (along u) and k (along v) at a right angle, with equal legs.
     """
 
-    def __init__(self, peaks: Mirror, cfg: FinderConfig, workspace: Workspace) -> None:
+    def __init__(self, peaks: Mirror, most: int, cfg: FinderConfig, workspace: Workspace) -> None:
         super().__init__(workspace.backend)
+        self._most = most
         room = peaks.host.shape[1]
         self._sizes = _sizes()
         self._log_legs = [size.log_leg for size in self._sizes]
@@ -73,8 +74,8 @@ class Triples(Step):
             self._peaks.device, self._tolerances, *self._scratch, self._triples.device
         )
 
-    def read(self, most: int) -> list[Hypothesis]:
-        """Wait for the device and give so many hypotheses, or a few more, best first."""
+    def read(self) -> list[Hypothesis]:
+        """Wait for the device and give ``most`` hypotheses, or a few more, best first."""
         peaks = self._peaks.read()[0]
         triples = self._triples.read().reshape(-1, 4)
         places = peaks[:, 1:3].tolist()
@@ -82,7 +83,7 @@ class Triples(Step):
         poses: list[_Affine] = []
         for triple, index in enumerate(np.argsort(-triples[:, 0], kind="stable").tolist()):
             response, j, k, log_leg = triples[index].tolist()
-            if not response or len(found) >= most:
+            if not response or len(found) >= self._most:
                 break
             i = index // self._cfg.triples_a_corner
             inverted = bool(peaks[i, 0] < 0.0)

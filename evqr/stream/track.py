@@ -75,7 +75,9 @@ class Track:
     @property
     def lost(self) -> bool:
         """Whether the code is out of sight, or was none."""
-        if self.reading is None and self.windows >= self._cfg.patience:
+        single = self.detection.space.single_pattern
+        patience = self._cfg.single_patience if single else self._cfg.patience
+        if self.reading is None and self.windows >= patience:
             if self.detection.score < self._solver.config.align.good_score:
                 return True
         return self._misses >= self._cfg.max_misses

@@ -134,6 +134,11 @@ class CodeSpace:
         return f"{self.symbology} {self.version}"
 
     @property
+    def single_pattern(self) -> bool:
+        """Whether a single finder pattern is all that the search looks for."""
+        return [anchor.kind for anchor in self.anchors] == [Landmark.FINDER_PATTERN]
+
+    @property
     def shape(self) -> tuple[int, int]:
         """Rows and columns of modules (V, U)."""
         rows, columns = self.known.shape

@@ -9,6 +9,7 @@ from scenes import at, corners, middle_us, motion_at, scene, transform, window_o
 from evqr.config import FinderConfig
 from evqr.motion import Motion
 from evqr.search.finder import find_hypotheses
+from evqr.search.hypothesis import Layout
 from evqr.search.triples import Triples
 
 CONFIG = FinderConfig()
@@ -19,7 +20,7 @@ def searched(made, workspace):
     truth = made.truth["truth"]
     motion = motion_at(truth, middle_us(made))
     found = find_hypotheses(window_of(made), motion, CONFIG, workspace=workspace)
-    return found.peaks, found.hypotheses, at(truth, "H", middle_us(made)), found.pyramid
+    return found.peaks, found.hypotheses(Layout.THREE_CORNERS), at(truth, "H", middle_us(made)), found.pyramid
 
 
 def of_finders(peaks, pose, size, module_px):
@@ -141,9 +142,9 @@ def matched(workspace, response, position, module_px, angle):
     peaks = workspace.mirror((1, len(response) + 2, 5))  # with room left
     peaks.host[0, :-2] = np.column_stack([response, position, module_px, angle])
     peaks.push()
-    match = Triples(peaks, CONFIG, workspace)
+    match = Triples(peaks, CONFIG.passes[-1].hypotheses, CONFIG, workspace)
     match.run()
-    return match.read(CONFIG.passes[-1].hypotheses)
+    return match.read()
 
 
 @pytest.mark.parametrize("version", [1, 2, 6, 13, 25, 40])
@@ -194,4 +195,5 @@ def test_an_empty_window_has_no_peaks(workspace):
     window = window_of(made)
     empty = window.keep(np.zeros(len(window), bool))
     found = find_hypotheses(empty, Motion(np.array([1000.0, 500.0])), CONFIG, workspace=workspace)
-    assert len(found.peaks) == len(found.hypotheses) == 0
+    assert len(found.peaks) == 0
+    assert not any(found.hypotheses(layout) for layout in Layout)

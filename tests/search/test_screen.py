@@ -8,7 +8,7 @@ from scenes import at, corners, middle_us, motion_at, moved, scene, window_of
 
 from evqr.config import AlignConfig, FinderConfig
 from evqr.search.finder import find_hypotheses
-from evqr.search.hypothesis import Hypothesis
+from evqr.search.hypothesis import Hypothesis, Layout
 from evqr.search.screen import batches, screen
 from evqr.symbol import qr
 
@@ -20,7 +20,7 @@ def searched(made, workspace):
     truth = made.truth["truth"]
     motion = motion_at(truth, middle_us(made))
     found = find_hypotheses(window_of(made), motion, FinderConfig(), workspace=workspace)
-    return found.pyramid, found.hypotheses, at(truth, "H", middle_us(made))
+    return found.pyramid, found.hypotheses(Layout.THREE_CORNERS), at(truth, "H", middle_us(made))
 
 
 def modules_off(candidate, pose, size, module_px):

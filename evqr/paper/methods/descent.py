@@ -50,6 +50,7 @@ from evqr.motion import Motion
 from evqr.paper.methods.method import Outcome, Watch, unwatched
 from evqr.paper.methods.start import find_pose, principal_motion
 from evqr.search.finder import find_hypotheses
+from evqr.search.hypothesis import Layout
 from evqr.search.screen import screen
 from evqr.solver import Solver
 from evqr.symbol import qr
@@ -200,7 +201,7 @@ class Descent:
             return None
         finder, workspace = solver.config.finder, solver.workspace
         found = find_hypotheses(window, moving.motion, finder, workspace=workspace)
-        guesses = [h for h in found.hypotheses if h.space.version == self.version]
+        guesses = [h for h in found.hypotheses(Layout.THREE_CORNERS) if h.space.version == self.version]
         if not guesses:
             return None
         candidates, _ = screen(guesses, found.pyramid, solver.config.align, workspace=workspace)
