@@ -20,6 +20,7 @@ from evqr.symbol.chance import ORIENTATIONS, confidence, count_pads
 from evqr.symbol.content import content_of
 from evqr.symbol.correct import Corrected, Doubt, correct_block
 from evqr.symbol.decoded import Decoded, DecodeFailure, Effort
+from evqr.symbol.payload import Payload
 from evqr.symbol.qr_codewords import (
     ErrorLevel,
     codeword_layout,
@@ -29,7 +30,7 @@ from evqr.symbol.qr_codewords import (
 )
 from evqr.symbol.qr_segments import segments_of
 from evqr.symbol.reed_solomon import Symbols
-from evqr.symbol.space import CodeSpace
+from evqr.symbol.space import CodeSpace, read_only
 
 _TINY = float(np.finfo(np.float64).tiny)
 
@@ -158,11 +159,7 @@ def _decode_format(
         codewords[block.codewords] = result.words
         padding = padding and count_pads(result.words[: block.n_data]) == block.n_data
 
-    modules = symbol_of(codewords, version, level, mask)
-    stream = b"".join(codewords[b.codewords][: b.n_data].tobytes() for b in layout.blocks)
-    payload = content_of(
-        modules, space.symbology, charset=config.charset, segments=segments_of(stream, version)
-    )
+    modules, payload = _said(codewords.tobytes(), space, level, mask, config.charset)
     # A texture that equals a mask (stripes, checks) is the all-zero word: valid, and empty.
     if payload is None:
         return failed(Reason.NO_CONTENT, _named(form))
@@ -180,6 +177,18 @@ def _decode_format(
         log10_chance=log_chance / math.log(10.0),
         confidence=confidence(log_chance, config.wrong_grids),
     )
+
+
+@functools.lru_cache(maxsize=64)
+def _said(
+    codewords: bytes, space: CodeSpace, level: ErrorLevel | None, mask: int, charset: str | None
+) -> tuple[NDArray[np.int8], Payload | None]:
+    """Return the exact symbol and what it says; one code gives the same in window after window."""
+    layout = codeword_layout(space.version, level)
+    modules = symbol_of(np.frombuffer(codewords, np.uint8), space.version, level, mask)
+    stream = b"".join(codewords[block.codewords][: block.n_data] for block in layout.blocks)
+    segments = segments_of(stream, space.version)
+    return read_only(modules), content_of(modules, space.symbology, charset=charset, segments=segments)
 
 
 def _log_contents(evidence: Evidence, n_data: int, padding: bool, words: Symbols) -> float:
