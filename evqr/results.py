@@ -30,8 +30,33 @@ class ReadStatus(str, Enum):
     ERROR = "error"
 
 
+class _OfSymbol:
+    """What a symbol is in short, for records that say its kind and hold its modules."""
+
+    symbology: str
+    version: int | str
+    ec_level: str | None
+    modules: NDArray[Any]
+
+    @property
+    def symbol(self) -> str:
+        """Symbology, size and level in short: QRCode 7-H, MicroQRCode M1, DataMatrix 22x22."""
+        level = "" if self.ec_level is None else f"-{self.ec_level}"
+        return f"{plain(self.symbology)} {self.version}{level}"
+
+    @property
+    def rows(self) -> int:
+        """Modules from top to bottom, V."""
+        return self.modules.shape[0]
+
+    @property
+    def columns(self) -> int:
+        """Modules from left to right, U."""
+        return self.modules.shape[1]
+
+
 @dataclass(frozen=True, eq=False)
-class CodeReading(Payload):
+class CodeReading(_OfSymbol, Payload):
     """One code that passed, read: what it says, and where and when.
 
     Attributes
@@ -86,21 +111,6 @@ class CodeReading(Payload):
     estimate: NDArray[np.float32] = field(repr=False)
     compute_ms: Mapping[str, float] = field(compare=False)
 
-    @property
-    def symbol(self) -> str:
-        """Symbology, size and level in short: QRCode 7-H, MicroQRCode M1, DataMatrix 22x22."""
-        return _symbol(self)
-
-    @property
-    def rows(self) -> int:
-        """Modules from top to bottom, V."""
-        return self.modules.shape[0]
-
-    @property
-    def columns(self) -> int:
-        """Modules from left to right, U."""
-        return self.modules.shape[1]
-
     def __str__(self) -> str:
         return f"{self.text!r} ({self.symbol}) at {self.t_read_us} us"
 
@@ -137,7 +147,7 @@ class CodeReading(Payload):
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
-class WindowCode(Value):
+class WindowCode(_OfSymbol, Value):
     """One code in a window that was read alone.
 
     Attributes
@@ -191,21 +201,6 @@ class WindowCode(Value):
     def text(self) -> str | None:
         """Its text; None when not read."""
         return None if self.payload is None else self.payload.text
-
-    @property
-    def symbol(self) -> str:
-        """Symbology, size and level in short: QRCode 7-H, MicroQRCode M1, DataMatrix 22x22."""
-        return _symbol(self)
-
-    @property
-    def rows(self) -> int:
-        """Modules from top to bottom, V."""
-        return self.modules.shape[0]
-
-    @property
-    def columns(self) -> int:
-        """Modules from left to right, U."""
-        return self.modules.shape[1]
 
     def __str__(self) -> str:
         return f"{self.reason if self.text is None else repr(self.text)} ({self.symbol})"
@@ -449,8 +444,3 @@ def module_rows(modules: NDArray[np.floating] | NDArray[np.integer]) -> list[str
         One a row, "1" where dark, "0" where light.
     """
     return ["".join("1" if dark else "0" for dark in row) for row in modules < 0]
-
-
-def _symbol(code: CodeReading | WindowCode) -> str:
-    level = "" if code.ec_level is None else f"-{code.ec_level}"
-    return f"{plain(code.symbology)} {code.version}{level}"

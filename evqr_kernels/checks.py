@@ -116,16 +116,6 @@ class ArrayChecks:
         if not value >= least:
             raise ValueError(f"{name} must be at least {least}, got {value}")
 
-    def image_shape(self, out: Floats | None, shape: tuple[int, int] | None) -> tuple[int, int, int]:
-        """(B, Y, X) of an image: that of ``out``, which is checked, or else with the given (Y, X)."""
-        if out is not None:
-            self.floats("out", out, "B", "Y", "X")
-            return self.sizes["B"], self.sizes["Y"], self.sizes["X"]
-        if shape is None:
-            raise TypeError("shape of the image must be given when there is no out")
-        height, width = shape
-        return self.sizes["B"], height, width
-
     def _numpy(self, name: str, array: Any) -> None:
         if not isinstance(array, np.ndarray):
             raise TypeError(f"{name} must be a NumPy array, got {type(array).__name__}")

@@ -128,12 +128,6 @@ class Detection(Value):
     iterations: int
     timings_ms: Mapping[str, float] = field(default=NO_TIMINGS, compare=False)
 
-    def __post_init__(self) -> None:
-        # as `Value` does, without looking at every field: one is made a window
-        object.__setattr__(self, "gain", read_only(self.gain))
-        if not isinstance(self.timings_ms, FrozenDict):
-            object.__setattr__(self, "timings_ms", FrozenDict(self.timings_ms))
-
     @property
     def space(self) -> CodeSpace:
         """Kind and size of the code."""

@@ -17,7 +17,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from evqr.symbol.space import CodeSpace, Landmark, read_only
+from evqr.symbol.space import CodeSpace, Landmark, closed
 
 MOST_QUIET_MODULES = 3
 """Modules of quiet zone around the symbol that the model covers at most; that of a QR code is four wide."""
@@ -142,9 +142,9 @@ def pose_table(
     columns = [second * weight for second, weights in seconds for weight in weights]
     table = np.stack([*columns, np.zeros_like(u), derivative(0, 1), derivative(1, 0)], axis=1)
     return PoseTable(
-        points=read_only(np.stack([u, v], axis=1).astype(np.float32)),
-        table=read_only(table.astype(np.float32)),
-        gram=read_only(table.T @ table),
+        points=closed(np.stack([u, v], axis=1).astype(np.float32)),
+        table=closed(table.astype(np.float32)),
+        gram=closed(table.T @ table),
         centre=centre,
         scale=scale,
     )

@@ -46,7 +46,7 @@ class BagSource(Source):
     """All messages of one topic of a bag, in the order of the bag."""
 
     def __init__(self, path: str, asked: Asked) -> None:
-        self._rosbags = required("rosbags.rosbag1", path, "ROS bag")
+        required("rosbags.rosbag1", path, "ROS bag")
         with explained(path, "ROS bag", MEND), _opened(path) as (bag, self._ros2):
             layouts = {c.topic: layout for c in bag.connections if (layout := _layout(c))}
             if not layouts:

@@ -15,7 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from evqr.symbol.reed_solomon import ReedSolomon
-from evqr.symbol.space import Version, read_only
+from evqr.symbol.space import Version, closed
 
 ErrorLevel = Literal["L", "M", "Q", "H"]
 LEVELS: tuple[ErrorLevel, ...] = ("L", "M", "Q", "H")
@@ -77,10 +77,10 @@ def roles_of(version: Version) -> Roles:
     known = ~(is_format | is_data)
     values = np.where(np.array(symbol.matrix, dtype=bool), -1, 1) * known
     return Roles(
-        known=read_only(known),
-        values=read_only(values.astype(np.int8)),
-        format=read_only(is_format),
-        data=read_only(is_data),
+        known=closed(known),
+        values=closed(values.astype(np.int8)),
+        format=closed(is_format),
+        data=closed(is_data),
     )
 
 
@@ -163,8 +163,8 @@ def codeword_layout(version: Version, level: ErrorLevel | None) -> CodewordLayou
     modules = np.full((start, 8), -1, dtype=np.intp)
     modules[printed] = _placement(version)[: np.count_nonzero(printed)]
     return CodewordLayout(
-        bits=read_only(modules[codewords].ravel()),
-        printed=None if printed.all() else read_only(printed[codewords].ravel()),
+        bits=closed(modules[codewords].ravel()),
+        printed=None if printed.all() else closed(printed[codewords].ravel()),
         blocks=tuple(blocks),
     )
 
@@ -178,7 +178,7 @@ def mask_signs(version: Version) -> NDArray[np.int8]:
     rows, columns = np.indices(data.shape)
     functions = encoder.get_data_mask_functions(is_micro=isinstance(version, str))
     masks = np.array([inverts(rows, columns) & data for inverts in functions])
-    return read_only(np.where(masks, -1, 1).astype(np.int8).reshape(len(masks), -1))
+    return closed(np.where(masks, -1, 1).astype(np.int8).reshape(len(masks), -1))
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
@@ -215,7 +215,7 @@ def format_words(version: Version) -> FormatWords:
         encoder.add_format_info(matrix, _segno_version(version), _segno_level(level), mask)
         words.append(np.where(np.array(matrix)[is_format], -1, 1))
     at = np.flatnonzero(is_format)
-    return FormatWords(at=read_only(at), signs=read_only(np.array(words, np.float64)), meaning=meaning)
+    return FormatWords(at=closed(at), signs=closed(np.array(words, np.float64)), meaning=meaning)
 
 
 def symbol_of(
@@ -267,8 +267,8 @@ def _masked(version: Version, level: ErrorLevel | None, mask: int) -> _Masked:
     bits = codeword_layout(version, level).bits
     signs = np.where(bits < 0, 0, mask_signs(version)[mask][bits])
     return _Masked(
-        signs=read_only(signs.astype(np.int8)),
-        symbol=read_only(symbol),
+        signs=closed(signs.astype(np.int8)),
+        symbol=closed(symbol),
     )
 
 

@@ -30,7 +30,7 @@ from evqr.symbol.qr_codewords import (
 )
 from evqr.symbol.qr_segments import segments_of
 from evqr.symbol.reed_solomon import Symbols
-from evqr.symbol.space import CodeSpace, read_only
+from evqr.symbol.space import CodeSpace, closed
 
 _TINY = float(np.finfo(np.float64).tiny)
 
@@ -188,7 +188,7 @@ def _said(
     modules = symbol_of(np.frombuffer(codewords, np.uint8), space.version, level, mask)
     stream = b"".join(codewords[block.codewords][: block.n_data] for block in layout.blocks)
     segments = segments_of(stream, space.version)
-    return read_only(modules), content_of(modules, space.symbology, charset=charset, segments=segments)
+    return closed(modules), content_of(modules, space.symbology, charset=charset, segments=segments)
 
 
 def _log_contents(evidence: Evidence, n_data: int, padding: bool, words: Symbols) -> float:

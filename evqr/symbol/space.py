@@ -122,13 +122,13 @@ class CodeSpace:
             )
         if ((self.values != 0) != self.known).any():
             raise ValueError("values must be -1 or +1 where known, and 0 elsewhere")
-        read_only(self.known)
-        read_only(self.values)
+        closed(self.known)
+        closed(self.values)
 
     def __setstate__(self, state: dict[str, Any]) -> None:
         self.__dict__.update(state)
-        read_only(self.known)  # arrays come out of a pickle writable
-        read_only(self.values)
+        closed(self.known)  # arrays come out of a pickle writable
+        closed(self.values)
 
     def __str__(self) -> str:
         return f"{self.symbology} {self.version}"
@@ -160,7 +160,7 @@ class CodeSpace:
         return max(self.known.shape)
 
 
-def read_only(array: NDArray) -> NDArray:
+def closed(array: NDArray) -> NDArray:
     """Return the array, closed for writing: it is shared by all who ask."""
     array.flags.writeable = False
     return array
