@@ -30,6 +30,7 @@ if TYPE_CHECKING:
     )
     from evqr.errors import BackendError, EvqrError, MissingExtra, RecordingError, StreamChoice, UsageError
     from evqr.events.array import EventArray
+    from evqr.events.batch import EventBatch, PackedEvents
     from evqr.events.buffer import EventBuffer
     from evqr.events.window import Window
     from evqr.fit.detection import Detection, NotFound, Target
@@ -70,6 +71,7 @@ __all__ = [
     "DecodeConfig",
     "Detection",
     "EventArray",
+    "EventBatch",
     "EventBuffer",
     "EventCounts",
     "EvqrError",
@@ -85,6 +87,7 @@ __all__ = [
     "MotionEstimate",
     "NormalEquations",
     "NotFound",
+    "PackedEvents",
     "Payload",
     "ReadConfig",
     "ReadResult",
@@ -144,6 +147,10 @@ _HOME = {
         "UsageError",
     ),
     "evqr.events.array": ("EventArray",),
+    "evqr.events.batch": (
+        "EventBatch",
+        "PackedEvents",
+    ),
     "evqr.events.buffer": ("EventBuffer",),
     "evqr.events.window": ("Window",),
     "evqr.fit.detection": (

@@ -374,7 +374,7 @@ def _read_alone(start: _Start, events: EventBuffer, solver: Solver) -> WindowRea
 def _read_detection(found: Detection, solver: Solver, clock: StageClock) -> WindowCode:
     """Read a code that was found."""
     with clock("stage_two"):
-        estimate = solver.solve(found)
+        (estimate,) = solver.solve([found])
     with clock("decode"):
         outcome = decode_grid(estimate.q, found.space, config=solver.config.decode, effort="full")
     return _window_code(found, estimate, outcome)

@@ -7,17 +7,19 @@ A `Solver` owns the buffers of one thread; two threads need two solvers.
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import replace
 
 from evqr.clock import StageClock
 from evqr.config import ReadConfig, SearchPass
 from evqr.device import kernels_on
+from evqr.events.batch import EventBatch
 from evqr.events.buffer import Asking
 from evqr.events.window import Window
 from evqr.fit.detection import NO_LAG, Detection, NotFound
 from evqr.fit.measure import measure
-from evqr.fit.modules import CodeEstimate, solve_modules
-from evqr.fit.refine import Refinement, refine, with_lags
+from evqr.fit.modules import CodeEstimate, NormalEquations, solve_modules
+from evqr.fit.refine import complete, refine
 from evqr.fit.region import region_around
 from evqr.launched import LAUNCHED
 from evqr.motion import Motion
@@ -168,6 +170,7 @@ class Solver:
     ) -> Detection | NotFound:
         """Find a code of one layout in what a search along one motion found."""
         cfg, one, workspace = self.config, self.config.align, self.workspace
+        alone = EventBatch.of([window])
         hypotheses = found.hypotheses(layout)
         if not hypotheses:
             return NotFound(Reason.NO_FINDER_PATTERNS, f"{len(found.peaks)} candidates")
@@ -179,15 +182,15 @@ class Solver:
             candidates = [candidate for candidate in candidates if candidate.score >= search_pass.min_score]
             if not candidates:
                 continue
+            chosen = candidates[: one.refined_candidates]
             with clock("stage_one"):
-                refined = refine(
-                    window, motion, candidates[: one.refined_candidates], tau_us, cfg, workspace=workspace
-                )
+                (refined,) = refine(alone, [motion], [chosen], [tau_us], cfg, workspace=workspace)
             iterations += steps + refined.iterations
             closest = max(closest, refined.score)
             if refined.score < one.min_score:
                 continue
-            detection = self._complete(window, refined, tau_us, iterations, clock)
+            refined = replace(refined, iterations=iterations)
+            (detection,) = complete(alone, [refined], [tau_us], cfg, workspace=workspace, clock=clock)
             if layout is Layout.SINGLE and detection.score < one.single_score:
                 closest = max(closest, detection.score)
                 continue
@@ -198,46 +201,28 @@ class Solver:
         detail = f"{closest:.2f}, the best of {len(hypotheses)} candidates"
         return best or NotFound(Reason.DISAGREES, detail, closest)
 
-    def _complete(
-        self,
-        window: Window,
-        found: Refinement,
-        tau_us: tuple[float, float] | None,
-        iterations: int,
-        clock: StageClock,
-    ) -> Detection:
-        """Estimate what is still unknown of a code that was found, and measure it."""
-        cfg, workspace = self.config, self.workspace
-        if tau_us is None and found.score >= cfg.align.sharp_score:
-            tau_us = NO_LAG
-        if tau_us is not None and not found.escaped:
-            return found.measurement.detection(found.target, found.region, iterations)
-        target, deposited = found.refined, found.deposited
-        if tau_us is None:
-            with clock("lag"):
-                target = with_lags(window, found, cfg, workspace=workspace)
-            deposited = True
-        with clock("stage_one"):
-            measured = measure(
-                window, target, found.region, cfg, workspace=workspace, from_events=not deposited
-            )
-        return measured.detection(target, found.region, iterations + measured.alignment.iterations)
-
-    def follow(self, window: Window, detection: Detection) -> Detection | NotFound:
-        """Find a code again that an earlier window showed.
+    def follow(self, batch: EventBatch, detections: Sequence[Detection]) -> list[Detection | NotFound]:
+        """Find codes again that earlier windows showed.
 
         Parameters
         ----------
-        window : Window
-            A later one.
-        detection : Detection
-            Of the code; its motion is taken to hold until the middle of the window.
+        batch : EventBatch
+            B later windows, of one stream or of many; where one shows several codes, it is there several
+            times.
+        detections : sequence of Detection
+            Of the code in each; its motion is taken to hold until the middle of the window.
 
         Returns
         -------
-        found : Detection or NotFound
-            At the middle of the window, with its timings.
+        found : list of Detection or NotFound
+            One a window, at its middle, with its share of the timings.  It does not depend on the others.
         """
+        return [
+            self._follow(window, detection)
+            for window, detection in zip(batch.windows, detections, strict=True)
+        ]
+
+    def _follow(self, window: Window, detection: Detection) -> Detection | NotFound:
         clock, one = StageClock(), self.config.align
         with clock("stage_one"):
             target = detection.at(window.middle_us)
@@ -248,20 +233,27 @@ class Solver:
             return NotFound(Reason.DISAGREES, f"{score:.2f}, where the code should be", score, clock.ms)
         return measured.detection(target, region, measured.alignment.iterations, clock.ms)
 
-    def solve(self, detection: Detection) -> CodeEstimate:
-        """Solve for the modules of a code from one window; `evqr.fit.fusion` does it from several.
+    def solve(self, found: Sequence[Detection | NormalEquations]) -> list[CodeEstimate]:
+        """Solve for the modules of codes, each from one window or from equations that were added up.
 
         Parameters
         ----------
-        detection : Detection
-            Of the code in the window.
+        found : sequence of Detection or NormalEquations
+            Codes in their windows; or equations in units of their noise, `NormalEquations.weighted`.
 
         Returns
         -------
-        estimate : CodeEstimate
-            Of all modules.
+        estimates : list of CodeEstimate
+            Of all modules of each.  None depends on the others.
         """
-        return solve_modules(detection.weighted, self.config.modules, workspace=self.workspace)
+        return [
+            solve_modules(
+                each.weighted if isinstance(each, Detection) else each,
+                self.config.modules,
+                workspace=self.workspace,
+            )
+            for each in found
+        ]
 
 
 def _timed(found: MotionEstimate | Reason, clock: StageClock) -> MotionEstimate | NotFound:

@@ -21,6 +21,7 @@ import numpy as np
 
 from evqr.clock import StageClock
 from evqr.events.array import EventArray
+from evqr.events.batch import EventBatch
 from evqr.events.buffer import EventBuffer
 from evqr.events.window import Window
 from evqr.fit.detection import Detection, NotFound
@@ -126,7 +127,8 @@ def run_cold(job: Job, solver: Solver, clock: StageClock | None = None) -> str |
 def run_tracked(job: Job, solver: Solver, clock: StageClock | None = None) -> str | None:
     assert job.before is not None
     window = job.buffer.window(job.start_us, job.start_us + job.window_us)
-    return _finish(solver.follow(window, job.before), solver, clock or StageClock())
+    (found,) = solver.follow(EventBatch.of([window]), [job.before])
+    return _finish(found, solver, clock or StageClock())
 
 
 def _motion(job: Job, solver: Solver, clock: StageClock) -> Motion | None:
@@ -140,7 +142,7 @@ def _finish(found: Detection | NotFound, solver: Solver, clock: StageClock) -> s
     if isinstance(found, NotFound):
         return None
     with clock("stage_two"):
-        estimate = solver.solve(found)
+        (estimate,) = solver.solve([found])
     with clock("decode"):
         outcome = decode_grid(estimate.q, found.space)
     return outcome.text if isinstance(outcome, Decoded) else None

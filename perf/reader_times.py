@@ -47,7 +47,7 @@ def check(device: str) -> float:
         first_ms = 1e3 * (time.perf_counter() - begin)
         if not isinstance(seen, Detection):
             sys.exit(f"gate: backend {backend} finds no code in the known scene: {seen}")
-        q = solver.solve(seen).q
+        q = solver.solve([seen])[0].q
         found[backend] = (seen.target.outline(), q, first_ms)
     (corners, q, first_ms), (true_corners, true_q, _) = found["auto"], found["numpy"]
     apart = float(np.abs(corners - true_corners).max())

@@ -232,7 +232,7 @@ def steps():
     window = events.window(at, at + solver.window_us(moving.motion))
     found = solver.find(window, moving.motion)
     nothing = solver.find(window.keep(np.arange(len(window)) % 50 == 0), moving.motion)
-    estimate = solver.solve(found)
+    (estimate,) = solver.solve([found])
     return {
         type(each).__name__: each
         for each in (

@@ -24,11 +24,18 @@ class Deposit(Step):
         self._ptr, self._motion = workspace.mirror((2,), np.int32), workspace.mirror((1, 2))
         self._frame = workspace.mirror((1, 3))
         self.cells = workspace.empty(1, 2, height, width)
+        self._written: tuple[Window, Motion, Region] | None = None
+
+    def holds(self, window: Window, motion: Motion, region: Region) -> bool:
+        """Whether that is what was written last, so that the cells need not be made again."""
+        last = self._written
+        return last is not None and last[0] is window and last[1] is motion and last[2] is region
 
     def write(self, window: Window, motion: Motion, region: Region) -> None:
-        """Say which events, how they move and where the cells are."""
+        """Say which events, how they move and where the cells are; the step is to be run then."""
         if not motion.uniform:
             raise NotImplementedError("events are deposited for motions of 2 parameters, got 6")
+        self._written = window, motion, region
         self._ptr.write((0, len(window)))
         self._motion.write(motion.velocity * 1e-6)  # times on the device are in microseconds
         self._frame.write((region.x + 0.5, region.y + 0.5, region.cell))
@@ -69,15 +76,22 @@ class Sharpen(Step):
         )  # fmt: skip
 
 
-def depositing(window: Window, motion: Motion, region: Region, *, workspace: Workspace) -> Deposit:
-    """Make ready to deposit a window's events on a region, over the last deposit on one of this size."""
+def depositing(
+    window: Window, motion: Motion, region: Region, *, workspace: Workspace
+) -> tuple[Deposit, bool]:
+    """Make ready to deposit a window's events on a region, over the last deposit on one of this size.
+
+    Also tells whether the step is to be run: not where that last deposit was the same.
+    """
     events = workspace.events(window)
     step = workspace.once(
         ("deposit", region.height, region.width, events.capacity),
         lambda: Deposit(events, region.height, region.width, workspace),
     )
+    if step.holds(window, motion, region):
+        return step, False
     step.write(window, motion, region)
-    return step
+    return step, True
 
 
 @functools.cache

@@ -95,7 +95,6 @@ def measuring(
     cfg: ReadConfig,
     *,
     workspace: Workspace,
-    from_events: bool = True,
 ) -> Measure:
     """Make ready to measure a code in a window: over the last measurement on a region of this size.
 
@@ -111,15 +110,13 @@ def measuring(
         Settings.
     workspace : Workspace
         Buffers.
-    from_events : bool
-        False: the last deposit on a region of this size is of this window and region.
 
     Returns
     -------
     step : Measure
         To be run and read, before it is made ready for another window.
     """
-    deposit = depositing(window, target.motion, region, workspace=workspace)
+    deposit, from_events = depositing(window, target.motion, region, workspace=workspace)
     step = deposit.once(
         ("measure", from_events, target.space, cfg.align, cfg.modules),
         lambda: Measure(deposit, from_events, target.space, cfg, workspace),
@@ -135,9 +132,8 @@ def measure(
     cfg: ReadConfig,
     *,
     workspace: Workspace,
-    from_events: bool = True,
 ) -> Measurement:
     """Refine the pose of a code in a window and build its equations; parameters as of `measuring`."""
-    step = measuring(window, target, region, cfg, workspace=workspace, from_events=from_events)
+    step = measuring(window, target, region, cfg, workspace=workspace)
     step.run()
     return step.read()

@@ -9,13 +9,15 @@ from typing import Protocol
 import numpy as np
 from numpy.typing import NDArray
 
+from evqr.clock import StageClock
 from evqr.config import ReadConfig
+from evqr.events.batch import EventBatch
 from evqr.events.window import Window
 from evqr.fit.align import escape_side_minimum
-from evqr.fit.detection import NO_LAG, Target
+from evqr.fit.detection import NO_LAG, Detection, Target
 from evqr.fit.image import depositing
 from evqr.fit.lag import estimate_lag
-from evqr.fit.measure import Measurement, measuring
+from evqr.fit.measure import Measurement, measure, measuring
 from evqr.fit.region import Region, region_around
 from evqr.motion import Motion
 from evqr.symbol.space import CodeSpace
@@ -46,17 +48,14 @@ class Refinement:
         What came out, in cells of the region.
     escaped : bool
         Whether a pose one module away was better, so that the equations are not of the alignment's pose.
-    deposited : bool
-        Whether the window's events still are on the device's cells for the region.
     iterations : int
-        Gauss-Newton steps, of all candidates.
+        Gauss-Newton steps, of all candidates of the window.
     """
 
     target: Target
     region: Region
     measurement: Measurement
     escaped: bool
-    deposited: bool = True
     iterations: int = 0
 
     @property
@@ -72,6 +71,48 @@ class Refinement:
 
 
 def refine(
+    batch: EventBatch,
+    motions: Sequence[Motion],
+    candidates: Sequence[Sequence[Guess]],
+    tau_us: Sequence[tuple[float, float] | None],
+    cfg: ReadConfig,
+    *,
+    workspace: Workspace,
+) -> list[Refinement]:
+    """Refine candidates of searches, for each window until one of them is good, and give the best of each.
+
+    A row of the batch is one place where a code is looked for: for several in a window, `EventBatch.pick`
+    gives it several rows, each with candidates of its own.  What comes out of a row does not depend on the
+    others.
+
+    Parameters
+    ----------
+    batch : EventBatch
+        B windows.
+    motions : sequence of Motion
+        Of the code in each, at the middle of the window.
+    candidates : sequence of sequences
+        For each window at least one, with ``space`` and ``pose`` (3, 3) [px], best first.
+    tau_us : sequence of (float, float) or None [us]
+        Time constants of the pixels, a window; None: not known, and not undone.
+    cfg : ReadConfig
+        Settings.
+    workspace : Workspace
+        Buffers.
+
+    Returns
+    -------
+    refinements : list of Refinement
+        For each window the one with the highest score of those up to the first good one; `complete` makes
+        detections of them.
+    """
+    return [
+        _refine(window, motion, tried, tau, cfg, workspace=workspace)
+        for window, motion, tried, tau in zip(batch.windows, motions, candidates, tau_us, strict=True)
+    ]
+
+
+def _refine(
     window: Window,
     motion: Motion,
     candidates: Sequence[Guess],
@@ -80,28 +121,7 @@ def refine(
     *,
     workspace: Workspace,
 ) -> Refinement:
-    """Refine candidates of a search until one of them is good, and give the best.
-
-    Parameters
-    ----------
-    window : Window
-        Where they are.
-    motion : Motion
-        Of the code, at the middle of the window.
-    candidates : sequence
-        At least one, with ``space`` and ``pose``; best first.
-    tau_us : (float, float) [us]
-        Time constants of the pixels; None: not known, and not undone.
-    cfg : ReadConfig
-        Settings.
-    workspace : Workspace
-        Buffers.
-
-    Returns
-    -------
-    refinement : Refinement
-        The one with the highest score.
-    """
+    """Refine the candidates of one window."""
     one = cfg.align
     tried: list[Refinement] = []
     for candidate in candidates:
@@ -119,17 +139,74 @@ def refine(
             break
     best = max(tried, key=lambda refinement: refinement.score)
     iterations = sum(refinement.measurement.alignment.iterations for refinement in tried)
-    return replace(best, deposited=best is tried[-1], iterations=iterations)
+    return replace(best, iterations=iterations)
 
 
-def with_lags(window: Window, found: Refinement, cfg: ReadConfig, *, workspace: Workspace) -> Target:
-    """Estimate the time constants of the pixels for a candidate, and its pose with their lags undone.
+def complete(
+    batch: EventBatch,
+    refinements: Sequence[Refinement],
+    tau_us: Sequence[tuple[float, float] | None],
+    cfg: ReadConfig,
+    *,
+    workspace: Workspace,
+    clock: StageClock,
+) -> list[Detection]:
+    """Estimate what is still unknown of codes that were found, and measure them.
 
-    The window's events then are on the device's cells for the candidate's region.
+    Parameters
+    ----------
+    batch : EventBatch
+        B windows, as they were refined; others are left out by `EventBatch.pick`.
+    refinements : sequence of Refinement
+        What `refine` found in each.
+    tau_us : sequence of (float, float) or None [us]
+        As for `refine`; where it is None the lags are estimated, unless the code is sharp without.
+    cfg : ReadConfig
+        Settings.
+    workspace : Workspace
+        Buffers.
+    clock : StageClock
+        To which the times are added, of the stages "lag" and "stage_one".
+
+    Returns
+    -------
+    detections : list of Detection
+        One a window, without timings.
     """
+    return [
+        _complete(window, found, tau, cfg, workspace=workspace, clock=clock)
+        for window, found, tau in zip(batch.windows, refinements, tau_us, strict=True)
+    ]
+
+
+def _complete(
+    window: Window,
+    found: Refinement,
+    tau_us: tuple[float, float] | None,
+    cfg: ReadConfig,
+    *,
+    workspace: Workspace,
+    clock: StageClock,
+) -> Detection:
+    """Complete one window."""
+    if tau_us is None and found.score >= cfg.align.sharp_score:
+        tau_us = NO_LAG
+    if tau_us is not None and not found.escaped:
+        return found.measurement.detection(found.target, found.region, found.iterations)
+    target = found.refined
+    if tau_us is None:
+        with clock("lag"):
+            target = _with_lags(window, found, cfg, workspace=workspace)
+    with clock("stage_one"):
+        measured = measure(window, target, found.region, cfg, workspace=workspace)
+    return measured.detection(target, found.region, found.iterations + measured.alignment.iterations)
+
+
+def _with_lags(window: Window, found: Refinement, cfg: ReadConfig, *, workspace: Workspace) -> Target:
+    """Estimate the time constants of the pixels for a candidate, and its pose with their lags undone."""
     target, region = found.target, found.region
-    deposit = depositing(window, target.motion, region, workspace=workspace)
-    if not found.deposited:
+    deposit, fresh = depositing(window, target.motion, region, workspace=workspace)
+    if fresh:
         deposit.run()
     lag_px, aligned = estimate_lag(
         deposit, target.motion, region, found.measurement.alignment.pose[0], target.space, cfg,

@@ -6,6 +6,7 @@ from collections import deque
 from collections.abc import Mapping
 
 from evqr.clock import StageClock
+from evqr.events.batch import EventBatch
 from evqr.events.window import Window
 from evqr.fit.detection import Detection, NotFound
 from evqr.fit.fusion import Fusion
@@ -100,7 +101,7 @@ class Track:
         if not _in_view(self.detection, window):
             self._misses += 1
             return
-        found = self._solver.follow(window, self.detection)
+        (found,) = self._solver.follow(EventBatch.of([window]), [self.detection])
         self._clock.add(found.timings_ms)
         if isinstance(found, NotFound):
             self._misses += 1

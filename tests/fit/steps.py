@@ -7,8 +7,9 @@ from evqr.fit.modules import Equations
 
 def deposit(window, motion, region, *, workspace):
     """Events on a region's cells."""
-    step = depositing(window, motion, region, workspace=workspace)
-    step.run()
+    step, fresh = depositing(window, motion, region, workspace=workspace)
+    if fresh:
+        step.run()
     return step
 
 

@@ -73,8 +73,8 @@ def assert_same(measured, found, equations):
     np.testing.assert_array_equal(measured.equations.stencil, equations.stencil)
 
 
-@pytest.mark.parametrize("from_events", [True, False])
-def test_it_is_the_stages_one_by_one(made, from_events, workspace):
+@pytest.mark.parametrize("deposited", [False, True])
+def test_it_is_the_stages_one_by_one(made, deposited, workspace):
     window, target, region = known(made, middle_us(made))
     motion, pose = target.motion, region.from_px @ target.pose
     one = CONFIG.align
@@ -84,7 +84,9 @@ def test_it_is_the_stages_one_by_one(made, from_events, workspace):
     equations = normal_equations(
         image, found.pose[0], found.gain[0], SPACE, one.sigma, CONFIG.modules, workspace=workspace
     )
-    measured = measure(window, target, region, CONFIG, workspace=workspace, from_events=from_events)
+    if not deposited:  # the cells hold another window then
+        deposit(window_of(made, 1.0, middle=middle_us(made)), motion, region, workspace=workspace)
+    measured = measure(window, target, region, CONFIG, workspace=workspace)
     assert_same(measured, found, equations)
     assert measured.alignment.score[0] > 0.8
 
@@ -96,7 +98,7 @@ def test_whole_windows_run_as_one_captured_graph(made, workspace):
     time = middle_us(made)
     window, target, region = known(made, time)
     first = measure(window, target, region, CONFIG, workspace=workspace)
-    events = depositing(window, target.motion, region, workspace=workspace)
+    events, _ = depositing(window, target.motion, region, workspace=workspace)
     step = Measure(events, True, SPACE, CONFIG, workspace)
     solution, solve = solving(step, first.equations, workspace)
     solve()  # loads what nothing else has used
@@ -105,7 +107,7 @@ def test_whole_windows_run_as_one_captured_graph(made, workspace):
         solve()
     for moment in (time, time + 400.0):
         window, target, region = known(made, moment)
-        assert depositing(window, target.motion, region, workspace=workspace) is events
+        assert depositing(window, target.motion, region, workspace=workspace)[0] is events
         step.write(target, region)
         solution._q.write(solution._start)
         wp.capture_launch(capture.graph)

@@ -34,7 +34,7 @@ def found_in(window, solver):
 
 
 def decoded(detection, solver):
-    return decode_grid(solver.solve(detection).q, detection.space)
+    return decode_grid(solver.solve([detection])[0].q, detection.space)
 
 
 @pytest.mark.parametrize("version", TEXTS)

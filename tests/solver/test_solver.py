@@ -9,6 +9,7 @@ from scenes import at, corners, middle_us, motion_at, noise, scene, window_of
 
 from evqr.config import ReadConfig
 from evqr.events.array import EventArray
+from evqr.events.batch import EventBatch
 from evqr.events.window import make_window
 from evqr.fit.detection import Detection, NotFound
 from evqr.motion import Motion
@@ -34,8 +35,13 @@ def modules_off(detection, made):
     return np.abs(detection.target.outline() - corners(pose, size)).max() / made.scene.codes[0].module_px
 
 
+def follow(solver, window, detection):
+    (found,) = solver.follow(EventBatch.of([window]), [detection])
+    return found
+
+
 def text_of(detection, solver):
-    outcome = decode_grid(solver.solve(detection).q, detection.space)
+    outcome = decode_grid(solver.solve([detection])[0].q, detection.space)
     return outcome.text if isinstance(outcome, Decoded) else None
 
 
@@ -123,7 +129,7 @@ def test_results_say_how_long_their_stages_took(solver):
     moving = solver.motion_in(window)
     found = solver.find(window, moving.motion)
     nothing = solver.find(make_window(noise(0, 1000), 0, 1000), moving.motion)
-    followed = solver.follow(window_of(made, middle=1000), found)
+    followed = follow(solver, window_of(made, middle=1000), found)
     assert set(moving.timings_ms) == {"motion"}
     assert {"finder", "pose", "stage_one"} <= set(found.timings_ms)
     assert set(nothing.timings_ms) == {"finder"}
@@ -166,7 +172,7 @@ def test_a_code_is_found_again_where_it_should_be_by_now(after_us, detection, so
     made = scene(travel_px=20.0)
     window = window_of(made, middle=500 + after_us)
     seen = detection.moving(true_motion(made))
-    again = solver.follow(window, seen)
+    again = follow(solver, window, seen)
     assert isinstance(again, Detection)
     assert modules_off(again, made) < 0.15
     assert (again.space, again.time_us, again.tau_us) == (seen.space, window.middle_us, seen.tau_us)
@@ -176,17 +182,17 @@ def test_a_code_is_found_again_where_it_should_be_by_now(after_us, detection, so
 def test_following_corrects_a_pose_that_is_wrong_by_half_a_module(detection, solver):
     made = scene(travel_px=20.0)
     seen = off_by(detection.moving(true_motion(made)), 0.35, -0.3)
-    assert modules_off(solver.follow(window_of(made, middle=1000), seen), made) < 0.15
+    assert modules_off(follow(solver, window_of(made, middle=1000), seen), made) < 0.15
 
 
 def test_a_code_that_is_not_there_is_lost(detection, solver):
     made = scene(travel_px=20.0)
     lost = [
-        solver.follow(window_of(made, middle=1000), off_by(detection, 9.0, 9.0)),
-        solver.follow(make_window(noise(5_000, 2000), 750, 1250), detection),
+        follow(solver, window_of(made, middle=1000), off_by(detection, 9.0, 9.0)),
+        follow(solver, make_window(noise(5_000, 2000), 750, 1250), detection),
     ]
     nothing = EventArray(*(np.zeros(0, d) for d in (np.int64, np.uint16, np.uint16, np.int8)), 320, 240)
-    lost.append(solver.follow(make_window(nothing, 750, 1250), detection))
+    lost.append(follow(solver, make_window(nothing, 750, 1250), detection))
     for found in lost:
         assert isinstance(found, NotFound)
         assert found.reason is Reason.DISAGREES

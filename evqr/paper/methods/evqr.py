@@ -6,6 +6,7 @@ from dataclasses import replace
 from typing import Literal
 
 from evqr.config import ReadConfig
+from evqr.events.batch import EventBatch
 from evqr.events.window import Window
 from evqr.fit.detection import Detection, NotFound
 from evqr.fit.fusion import Fusion
@@ -42,7 +43,10 @@ class Own:
         best, iterations = Outcome(converged=False), 0
         for index in range(self.windows):
             part = seen if self.windows == 1 else cut(seen, self.windows, index)
-            found = solver.follow(part, found) if isinstance(found, Detection) else self._find(part)
+            if isinstance(found, Detection):
+                (found,) = solver.follow(EventBatch.of([part]), [found])
+            else:
+                found = self._find(part)
             if isinstance(found, NotFound):
                 fusion = Fusion(config.vote, config.modules, workspace=workspace)
                 continue
