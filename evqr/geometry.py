@@ -2,6 +2,9 @@
 
 Code coordinates (u, v) are (column, row) in modules from the outer corner of the top-left module.  The shape
 of a code is (V, U): its rows and columns of modules.
+
+Three by three is too little for BLAS, and its threads are not ours: what is multiplied or inverted here is so
+in Python, or by NumPy's own loops.
 """
 
 from __future__ import annotations
@@ -10,6 +13,74 @@ import math
 
 import numpy as np
 from numpy.typing import NDArray
+
+
+def compose(outer: NDArray[np.float64], inner: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Give the map that does one after the other, as a product of matrices.
+
+    Parameters
+    ----------
+    outer, inner : (..., 3, 3) float64
+        What is done last, and first; stacks of maps broadcast.
+
+    Returns
+    -------
+    both : (..., 3, 3) float64
+        ``outer`` of ``inner``.
+    """
+    if outer.ndim > 2 or inner.ndim > 2:
+        return np.einsum("...ij,...jk->...ik", outer, inner)
+    (a, b, c), (d, e, f), (g, h, i) = inner.tolist()
+    return np.array(
+        [[x * a + y * d + z * g, x * b + y * e + z * h, x * c + y * f + z * i] for x, y, z in outer.tolist()]
+    )
+
+
+def inverse(pose: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Give the map back, from px to code coordinates.
+
+    Parameters
+    ----------
+    pose : (3, 3) float64
+        Code coordinates to px, or any such map.
+
+    Returns
+    -------
+    back : (3, 3) float64
+        Its inverse.
+
+    Raises
+    ------
+    ZeroDivisionError
+        It has none.
+    """
+    (a, b, c), (d, e, f), (g, h, i) = pose.tolist()
+    first, second, third = e * i - f * h, f * g - d * i, d * h - e * g
+    scale = 1.0 / (a * first + b * second + c * third)
+    return np.array(
+        [
+            [first * scale, (c * h - b * i) * scale, (b * f - c * e) * scale],
+            [second * scale, (a * i - c * g) * scale, (c * d - a * f) * scale],
+            [third * scale, (b * g - a * h) * scale, (a * e - b * d) * scale],
+        ]
+    )
+
+
+def _corners(
+    pose: NDArray[np.float64], shape: tuple[int, int], margin: float
+) -> tuple[list[float], list[float]]:
+    """Columns and rows of the corners of a code, in the order of `outline` [px]."""
+    # in Python: four corners are too few for NumPy to be faster
+    (a, b, p), (d, e, q), (g, h, r) = pose.tolist()
+    x, y = [], []
+    for u, v in (
+        (-margin, -margin), (shape[1] + margin, -margin),
+        (shape[1] + margin, shape[0] + margin), (-margin, shape[0] + margin),
+    ):  # fmt: skip
+        w = g * u + h * v + r
+        x.append((a * u + b * v + p) / w)
+        y.append((d * u + e * v + q) / w)
+    return x, y
 
 
 def outline(pose: NDArray[np.float64], shape: tuple[int, int], margin: float = 0.0) -> NDArray[np.float64]:
@@ -29,25 +100,14 @@ def outline(pose: NDArray[np.float64], shape: tuple[int, int], margin: float = 0
     corners : (4, 2) float64 [px]
         Top-left, top-right, bottom-right, bottom-left.
     """
-    near, right, low = -margin, shape[1] + margin, shape[0] + margin
-    corners = pose @ np.array([[near, right, right, near], [near, near, low, low], [1.0, 1.0, 1.0, 1.0]])
-    return (corners[:2] / corners[2]).T
+    return np.array(_corners(pose, shape, margin)).T
 
 
 def bounds(
     pose: NDArray[np.float64], shape: tuple[int, int], margin: float = 0.0
 ) -> tuple[float, float, float, float]:
     """Left, top, right and bottom end of a code in the image, with a margin around it [modules] [px]."""
-    # as `outline`, but in Python: four corners are too few for NumPy to be faster
-    (a, b, p), (d, e, q), (g, h, r) = pose.tolist()
-    x, y = [], []
-    for u, v in (
-        (-margin, -margin), (shape[1] + margin, -margin),
-        (shape[1] + margin, shape[0] + margin), (-margin, shape[0] + margin),
-    ):  # fmt: skip
-        w = g * u + h * v + r
-        x.append((a * u + b * v + p) / w)
-        y.append((d * u + e * v + q) / w)
+    x, y = _corners(pose, shape, margin)
     return min(x), min(y), max(x), max(y)
 
 

@@ -20,6 +20,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from evqr.geometry import compose, inverse
 from evqr.values import Value, read_only
 
 SHORTEST_WINDOW_US = 20.0
@@ -104,7 +105,10 @@ class Motion(Value):
         """
         if self.uniform:
             return np.broadcast_to(self.parameters, np.shape(point))
-        return self.velocity + (np.asarray(point) - self.about) @ self.slope.T
+        off = np.asarray(point) - self.about
+        (a_xx, a_xy), (a_yx, a_yy) = self.slope.tolist()
+        change = a_xx * off[..., 0] + a_xy * off[..., 1], a_yx * off[..., 0] + a_yy * off[..., 1]
+        return self.velocity + np.stack(change, axis=-1)
 
     def transport(
         self, x: NDArray[Any], y: NDArray[Any], t: NDArray[Any]
@@ -153,11 +157,10 @@ class Motion(Value):
             moved = [a + x * g, b + x * h, p + x * r], [d + y * g, e + y * h, q + y * r], [g, h, r]
             return np.array(moved)
         # p = p0 + t (m + A (p - c)), solved for p
-        grown = np.linalg.inv(np.eye(2) - seconds * self.slope)
-        ahead = np.eye(3)
-        ahead[:2, :2] = grown
-        ahead[:2, 2] = grown @ (seconds * (self.velocity - self.slope @ self.about))
-        return ahead @ pose
+        behind = np.eye(3)
+        behind[:2, :2] -= seconds * self.slope
+        behind[:2, 2] = -seconds * self.velocity_at((0.0, 0.0))
+        return compose(inverse(behind), pose)
 
     def at(self, time_us: float) -> Motion:
         """Give the same motion with another reference time: it is taken to hold until then.
@@ -190,11 +193,13 @@ class Motion(Value):
         if angle == 0.0:
             return self
         cos, sin = math.cos(angle), math.sin(angle)
-        turn = np.array([[cos, -sin], [sin, cos]])
-        parameters = turn @ self.velocity
-        if not self.uniform:
-            parameters = np.concatenate([parameters, (turn @ self.slope).ravel()])
-        return replace(self, parameters=parameters)
+        m_x, m_y, *slope = self.parameters.tolist()
+        turned = [cos * m_x - sin * m_y, sin * m_x + cos * m_y]
+        if slope:
+            a_xx, a_xy, a_yx, a_yy = slope
+            turned += [cos * a_xx - sin * a_yx, cos * a_xy - sin * a_yy]
+            turned += [sin * a_xx + cos * a_yx, sin * a_xy + cos * a_yy]
+        return replace(self, parameters=np.array(turned))
 
     def lag_px(self, tau_us: tuple[float, float]) -> tuple[float, float]:
         """Give how far pixels lag along the motion.

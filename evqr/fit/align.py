@@ -21,6 +21,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from evqr.config import AlignConfig
 from evqr.fit.model import MOMENTS, pose_table
+from evqr.geometry import compose
 from evqr.symbol.space import CodeSpace
 from evqr.workspace import Images, Step, Workspace
 
@@ -266,7 +267,7 @@ def shifted(pose: NDArray[np.float64]) -> NDArray[np.float64]:
     steps = np.tile(np.eye(3), (9, 1, 1))
     steps[:, 0, 2] = np.tile((-1.0, 0.0, 1.0), 3)
     steps[:, 1, 2] = np.repeat((-1.0, 0.0, 1.0), 3)
-    return pose @ steps
+    return compose(pose, steps)
 
 
 def escape_side_minimum(

@@ -17,6 +17,7 @@ from evqr.fit.detection import NO_TIMINGS, Detection, Target
 from evqr.fit.image import Deposit, Sharpen, depositing
 from evqr.fit.modules import Equations, NormalEquations
 from evqr.fit.region import Region
+from evqr.geometry import compose
 from evqr.symbol.space import CodeSpace
 from evqr.workspace import Step, Workspace
 
@@ -41,7 +42,7 @@ class Measurement:
     ) -> Detection:
         """Give what was measured in px of the sensor, after so many iterations in all."""
         found = self.alignment
-        pose = region.to_px @ found.pose[0]
+        pose = compose(region.to_px, found.pose[0])
         return Detection(
             target=Target(target.space, pose / pose[2, 2], target.motion, target.tau_us),
             gain=found.gain[0],
@@ -73,7 +74,7 @@ class Measure(Step):
     def write(self, target: Target, region: Region) -> None:
         """Say what is looked for and where the region lies."""
         self.sharpen.write(target.motion, region, [target.lag_px])
-        self.align.write((region.from_px @ target.pose)[None], 0)
+        self.align.write(compose(region.from_px, target.pose)[None], 0)
 
     def launch(self) -> None:
         """Launch the kernels one by one."""

@@ -25,6 +25,10 @@ MOST_QUIET_MODULES = 3
 PATTERN_REACH = 4.5
 """Half of the width of a finder pattern and its separator [modules]."""
 
+PROFILE_WIDTHS = 7
+"""A module is seen so many standard deviations of its blur beyond its edge: what is left of its profile and
+of its derivatives there is lost in a table of single precision."""
+
 MOMENTS = 20
 """Functions in a pose table: see `PoseTable`."""
 
@@ -107,44 +111,89 @@ def pose_table(
 
     With ``beyond_patterns`` it is for the samples outside the symbol's finder patterns and their separators.
     """
-    across, down = lattices(space, samples_a_module)
-    b_u, b_v = (
-        profiles(axis[:, None] - np.arange(size), sigma)
-        for axis, size in ((across, space.columns), (down, space.rows))
-    )
-    above_light = np.where(space.known, space.values.astype(np.float64) - 1.0, 0.0)
-
-    near_u, near_v = (
-        (np.abs(axis[:, None] - (np.arange(size) + 0.5)) < 1.0).astype(np.float64)
-        for axis, size in ((across, space.columns), (down, space.rows))
-    )
-    use = near_v @ (~space.known).astype(np.float64) @ near_u.T < 0.5
-
+    down, across = (_Axis(count, quiet_modules(space), sigma, samples_a_module) for count in space.shape)
+    use = _on_known(space, down, across)
     if beyond_patterns:
         for anchor in space.anchors:
             if anchor.kind is not Landmark.FINDER_PATTERN:
                 continue
             beside_u, beside_v = (
-                np.abs(axis - at) > PATTERN_REACH for axis, at in ((across, anchor.u), (down, anchor.v))
+                np.abs(axis.at - at) > PATTERN_REACH for axis, at in ((across, anchor.u), (down, anchor.v))
             )
             use &= beside_v[:, None] | beside_u
+    rows, columns = use.nonzero()
+    l_u, l_v, l_uu, l_uv, l_vv = _derivatives(space, down, across, rows, columns)
 
-    def derivative(of_v: int, of_u: int) -> NDArray[np.float64]:
-        return (b_v[of_v] @ above_light @ b_u[of_u].T)[use]
-
-    v, u = (grid[use] for grid in np.meshgrid(down, across, indexing="ij"))
+    u, v = across.at[columns], down.at[rows]
     centre = scale = space.columns / 2.0, space.rows / 2.0
     along_u, along_v = u - centre[0], v - centre[1]
     affine = [np.ones_like(u), along_u / scale[0], along_v / scale[1]]
     tilt_u, tilt_v = ([along / max(scale) * each for each in affine[1:]] for along in (along_u, along_v))
-    seconds = (derivative(0, 2), affine + tilt_u), (derivative(1, 1), affine + tilt_u + tilt_v)
-    seconds = *seconds, (derivative(2, 0), affine + tilt_v)
-    columns = [second * weight for second, weights in seconds for weight in weights]
-    table = np.stack([*columns, np.zeros_like(u), derivative(0, 1), derivative(1, 0)], axis=1)
+    seconds = (l_uu, affine + tilt_u), (l_uv, affine + tilt_u + tilt_v), (l_vv, affine + tilt_v)
+    functions = [second * weight for second, weights in seconds for weight in weights]
+    values = np.stack([*functions, np.zeros_like(u), l_u, l_v])
     return PoseTable(
         points=closed(np.stack([u, v], axis=1).astype(np.float32)),
-        table=closed(table.astype(np.float32)),
-        gram=closed(table.T @ table),
+        table=closed(np.ascontiguousarray(values.T, np.float32)),
+        gram=closed(np.einsum("is,js->ij", values, values)),
         centre=centre,
         scale=scale,
     )
+
+
+class _Axis:
+    """Samples along one axis of a code, and how the modules beside each enter there.
+
+    The samples in one module see its neighbours as those in the next one see theirs, and a profile ends
+    some widths of its blur away: a few numbers are all that an axis is.
+
+    Attributes
+    ----------
+    at : (n,) float64 [modules]
+        Where the samples are.
+    reach : int [modules]
+        How far a module is seen.
+    module : (n,) int
+        Which one a sample is in, counted from the first that it could see.
+    place : (n,) int
+        Which of its module's samples it is.
+    beside : (n,) int
+        The neighbour that a sample's footprint lies on too, as ``module``; the same where there is none.
+    weights : (3, samples_a_module, 2 reach + 1) float64
+        b, b' and b'' of the modules from ``-reach`` to ``reach`` beside that of a sample.
+    """
+
+    def __init__(self, count: int, quiet: int, sigma: float, samples_a_module: int) -> None:
+        self.at = lattice(count, quiet, samples_a_module)
+        self.reach = reach = int(1.0 + PROFILE_WIDTHS * sigma)
+        of_module, self.place = np.divmod(np.arange(len(self.at)), samples_a_module)
+        self.module = of_module + reach
+        within = (np.arange(samples_a_module) + 0.5) / samples_a_module
+        self.beside = self.module + np.sign(within - 0.5).astype(np.intp)[self.place]
+        self.weights = np.stack(profiles(within[:, None] - np.arange(-reach, reach + 1), sigma))
+
+
+def _on_known(space: CodeSpace, down: _Axis, across: _Axis) -> NDArray[np.bool_]:
+    """Whether no unknown module is nearer to a sample than its own size, for all samples."""
+    unknown = np.pad(~space.known, quiet_modules(space) + down.reach)
+    unknown = unknown[down.module] | unknown[down.beside]
+    return ~(unknown[:, across.module] | unknown[:, across.beside])
+
+
+def _derivatives(
+    space: CodeSpace, down: _Axis, across: _Axis, rows: NDArray[np.intp], columns: NDArray[np.intp]
+) -> tuple[NDArray[np.float64], ...]:
+    """L_u, L_v, L_uu, L_uv and L_vv at some samples (S,), what is not known taken for light."""
+    reach, quiet = down.reach, quiet_modules(space)
+    seen = 2 * reach + 1
+    above_light = np.pad(np.where(space.known, space.values - 1.0, 0.0), quiet + reach)
+    # along v for all modules of a row; along u only where it is asked for, some tenth of all samples
+    height = len(above_light) - 2 * reach
+    along_v = np.zeros((3, height, down.weights.shape[1], above_light.shape[1]))
+    for step in range(seen):
+        along_v += down.weights[:, None, :, step, None] * above_light[step : step + height, None, :]
+    beside = np.lib.stride_tricks.sliding_window_view(along_v, seen, axis=3)
+    picked = beside[:, down.module[rows] - reach, down.place[rows], across.module[columns] - reach]
+    weights = across.weights[:, across.place[columns]]
+    pairs = (0, 1), (1, 0), (0, 2), (1, 1), (2, 0)
+    return tuple(np.einsum("st,st->s", picked[of_v], weights[of_u]) for of_v, of_u in pairs)

@@ -8,6 +8,7 @@ import numpy as np
 
 from evqr.events.window import Window
 from evqr.fit.detection import Target
+from evqr.geometry import inverse
 
 
 def outside(window: Window, targets: Iterable[Target], margin: float) -> Window:
@@ -30,7 +31,7 @@ def outside(window: Window, targets: Iterable[Target], margin: float) -> Window:
     for target in targets:
         now = target.at(window.middle_us)
         x, y = now.motion.transport(window.x, window.y, window.t)
-        u, v, z = (row[0] * x + row[1] * y + row[2] for row in np.linalg.inv(now.pose))
+        u, v, z = (row[0] * x + row[1] * y + row[2] for row in inverse(now.pose).tolist())
         across, down = now.space.columns / 2.0, now.space.rows / 2.0
         window = window.keep(
             (np.abs(u / z - across) > across + margin) | (np.abs(v / z - down) > down + margin)

@@ -19,6 +19,7 @@ from evqr.fit.image import depositing
 from evqr.fit.lag import estimate_lag
 from evqr.fit.measure import Measurement, measure, measuring
 from evqr.fit.region import Region, region_around
+from evqr.geometry import compose
 from evqr.motion import Motion
 from evqr.symbol.space import CodeSpace
 from evqr.workspace import Workspace
@@ -66,7 +67,7 @@ class Refinement:
     @property
     def refined(self) -> Target:
         """What was found, in px of the sensor."""
-        pose = self.region.to_px @ self.measurement.alignment.pose[0]
+        pose = compose(self.region.to_px, self.measurement.alignment.pose[0])
         return replace(self.target, pose=pose / pose[2, 2])
 
 
@@ -212,5 +213,5 @@ def _with_lags(window: Window, found: Refinement, cfg: ReadConfig, *, workspace:
         deposit, target.motion, region, found.measurement.alignment.pose[0], target.space, cfg,
         workspace=workspace,
     )  # fmt: skip
-    pose = region.to_px @ aligned.pose[0]
+    pose = compose(region.to_px, aligned.pose[0])
     return replace(target, pose=pose / pose[2, 2], tau_us=target.motion.tau_us(lag_px))

@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 
 from evqr.config import AlignConfig
 from evqr.fit.align import align, coarse_levels
+from evqr.geometry import compose
 from evqr.search.finder import PyramidLevel
 from evqr.search.hypothesis import Hypothesis
 from evqr.symbol.space import CodeSpace
@@ -88,10 +89,10 @@ def screen(
             groups.setdefault((hypotheses[k].space, levels[k]), []).append(k)
         for (space, level), members in groups.items():
             entry = pyramid[level]
-            start = entry.from_px @ np.array([hypotheses[k].pose for k in members])
+            start = compose(entry.from_px, np.array([hypotheses[k].pose for k in members]))
             found = align(entry.image, start, space, coarse_levels(cfg), cfg, workspace=workspace)
             iterations += found.iterations
-            refined = entry.to_px @ found.pose
+            refined = compose(entry.to_px, found.pose)
             refined /= refined[:, 2:, 2:]
             candidates += [
                 Candidate(space, pose, score)

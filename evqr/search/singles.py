@@ -53,8 +53,9 @@ class Singles:
                 for quarter in range(QUARTERS):
                     turn = angle + quarter * math.pi / 2
                     cos, sin = module_px * math.cos(turn), module_px * math.sin(turn)
-                    pose = np.array([[cos, -sin, x], [sin, cos, y], [0.0, 0.0, 1.0]])
-                    pose[:2, 2] -= pose[:2, :2] @ (anchor.u, anchor.v)
+                    left = x - cos * anchor.u + sin * anchor.v
+                    top = y - sin * anchor.u - cos * anchor.v
+                    pose = np.array([[cos, -sin, left], [sin, cos, top], [0.0, 0.0, 1.0]])
                     space = space_of(symbology, version)
                     found.append(Hypothesis(space, pose, abs(response), response < 0.0))
         return found

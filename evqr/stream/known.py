@@ -8,6 +8,7 @@ import numpy as np
 
 from evqr.config import SchedulerConfig
 from evqr.fit.detection import Target
+from evqr.geometry import inverse
 from evqr.symbol.payload import Payload
 
 
@@ -47,7 +48,8 @@ class KnownCodes:
 
     def _are_one(self, earlier: Target, later: Target) -> bool:
         """Whether a code is where an earlier one must be by now."""
-        x, y, z = np.linalg.inv(later.pose) @ (*earlier.at(later.time_us).centre, 1.0)
+        column, row = earlier.at(later.time_us).centre.tolist()
+        x, y, z = (a * column + b * row + c for a, b, c in inverse(later.pose).tolist())
         space = earlier.space
         off = np.hypot(x / z - space.columns / 2.0, y / z - space.rows / 2.0)
         return bool(off < self._cfg.same_place * space.size)

@@ -107,8 +107,8 @@ def log_tail(agreement: NDArray[np.floating]) -> float:
     rate = math.atanh(total / most) / float(weights.max())
     for _ in range(_NEWTON_STEPS):
         slope = np.tanh(rate * weights)
-        gap = total - float(weights @ slope)
-        rate += gap / float(weights**2 @ (1.0 - slope**2))
+        gap = total - float((weights * slope).sum())
+        rate += gap / float((weights**2 * (1.0 - slope**2)).sum())
     scaled = rate * weights
     log_cosh = scaled + np.log1p(np.exp(-2.0 * scaled)) - math.log(2.0)
     return min(0.0, float(log_cosh.sum()) - rate * total)

@@ -73,7 +73,7 @@ def words_of(dark: NDArray[np.bool_], code: ReedSolomon) -> Symbols:
     width = code.width
     if width == 8:
         return np.packbits(dark)
-    return (dark.reshape(-1, width) @ (1 << np.arange(width)[::-1])).astype(code.field.power.dtype)
+    return (dark.reshape(-1, width) << np.arange(width)[::-1]).sum(axis=1, dtype=code.field.power.dtype)
 
 
 def bits_of(words: Symbols, code: ReedSolomon) -> NDArray[np.bool_]:

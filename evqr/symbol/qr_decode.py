@@ -97,7 +97,8 @@ def decode_words(
     """
     words = format_words(space.version)
     soft = q.ravel()[words.at]
-    correlation = ((words.signs @ soft) / max(float(np.abs(soft).sum()), _TINY)).tolist()
+    agreement = (words.signs * soft).sum(axis=1)
+    correlation = (agreement / max(float(np.abs(soft).sum()), _TINY)).tolist()
     best = max(correlation)
     if best < config.format_floor:
         detail = f"its modules correlate {best:.2f} with the likeliest word, {config.format_floor:.2f} needed"
