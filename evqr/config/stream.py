@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import Annotated
 
-from evqr.config.settings import Count, NotNegative, Positive, Range, Settings
+from evqr.config.settings import Count, NotNegative, Positive, Range, Settings, Share
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -26,8 +26,18 @@ class SchedulerConfig(Settings):
         Around a followed code whose events a search does not see: its quiet zone. The standard's four
         modules.
     same_place : float
-        How far from where a lost code must be one with the same text may be found for them to be one, in
-        sizes of the code. Chosen: two codes cannot overlap.
+        How far at most from where a lost code must be one with the same text may be found for them to be one,
+        in sizes of the code. Chosen: two codes cannot overlap.
+    same_velocity : float
+        How much the velocity of a code that is found again may differ in any case, relative to the faster of
+        the two; the place may differ by half of that share of its way. Chosen: from cold it is off by a
+        twentieth, and for a code that turns by more.
+    acceleration : float [sizes/s^2]
+        How fast its velocity may change beside that. Chosen: half of gravity for a code of 10 cm.
+    turn_rate : float [deg/s]
+        How fast it may have turned, beside how it was seen to turn. Chosen: half a turn a second, in a hand.
+    growth_rate : float [1/s]
+        How fast it may have grown or shrunk. Chosen: it comes as near again within a quarter of a second.
     remembered_codes : int
         Codes at most that may be found again; the oldest are forgotten first. Chosen: more than are in view.
     """
@@ -38,6 +48,10 @@ class SchedulerConfig(Settings):
     codes_a_search: Count = 16
     margin_modules: NotNegative = 4.0
     same_place: Positive = 0.5
+    same_velocity: Share = 0.3
+    acceleration: Positive = 50.0
+    turn_rate: NotNegative = 180.0
+    growth_rate: NotNegative = 3.0
     remembered_codes: Count = 64
 
 

@@ -14,7 +14,7 @@ from stream_steps import cut_anywhere, cut_every, records_of
 
 from evqr.recording import open_recording
 from evqr.solver import Solver
-from evqr.stream.records import CodeRead
+from evqr.stream.records import CodeAgain, CodeRead
 
 SHARED = Path(__file__).parents[3] / "shared"
 RECORDINGS = [path for name in ("recordings", "streams") for path in sorted((SHARED / name).glob("*.h5"))]
@@ -57,3 +57,18 @@ def test_chunks_of_any_size_give_the_same_records(path, solver, request):
         assert records_of(chunks, solver) == at_once, name
     read = [record.reading.text for record in at_once[0] if isinstance(record, CodeRead)]
     assert bool(read) == (path.stem != "no_code") or not whole
+
+
+def test_parts_that_say_the_same_are_read_one_by_one(solver):
+    """The second moves the other way, and is found where the first would be by then."""
+    path = SHARED / "streams" / "stream_11_parts.h5"
+    with h5py.File(path) as file:
+        parts = file["parts"]
+        start_us, end_us = int(parts["t_start_us"][8]), int(parts["t_end_us"][9])
+        text = parts["payloads"][8].decode()
+        assert parts["payloads"][9].decode() == text
+    with open_recording(path, start_us=start_us, end_us=end_us) as recording:
+        records, _ = records_of([recording.read()], solver)
+    read = [record for record in records if isinstance(record, CodeRead)]
+    assert [(record.code, record.reading.text) for record in read] == [(0, text), (1, text)]
+    assert not any(isinstance(record, CodeAgain) for record in records)
