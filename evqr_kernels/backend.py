@@ -76,7 +76,7 @@ class KernelBackend(Protocol):
         shape : tuple of int
             Its shape.
         dtype : dtype
-            float32, float64 or int32.
+            float32, float64, int32, uint16 or uint32.
         device : str
             Where.
 
@@ -98,7 +98,7 @@ class KernelBackend(Protocol):
         Parameters
         ----------
         array : NDArray
-            C-contiguous; float32, float64 or int32.
+            C-contiguous; float32, float64, int32, uint16 or uint32.
         device : str
             Where.
 

@@ -100,7 +100,10 @@ def check_call(
             checks.windows(value)
         else:
             shape = [_known(extent, checks.sizes) for extent in array.shape]
-            (checks.ints if array.integer else checks.floats)(checked_name(array), value, *shape)
+            if array.integer:
+                checks.ints(checked_name(array), value, *shape, dtype=array.integers)
+            else:
+                checks.floats(checked_name(array), value, *shape)
     (output, *others) = operation.outputs
     if out is not None and not others:
         checks.floats("out", out, *output.shape)
@@ -126,6 +129,10 @@ def _check_values(operation: Operation, given: Mapping[str, Any], checks: ArrayC
             checks.window_values(given[array.name])
         if array.index:
             checks.index(array.name, given[array.name], checks.sizes[array.index])
+        if array.ranges:
+            checks.ranges(array.name, given[array.name], checks.sizes[array.ranges])
+        if array.most and given[array.name] is not None:
+            checks.at_most(array.name, given[array.name], [size_of(n, checks.sizes) for n in array.most])
         if array.check and given[array.name] is not None:
             array.check(given[array.name])
 
@@ -148,7 +155,7 @@ def _known(extent: int | str, sizes: Sizes) -> int | str:
 def default_of(array: Input, sizes: Sizes, floats: DTypeLike) -> NDArray[Any]:
     """Make what stands for an input that is not given."""
     made = np.empty(shape_of(array, sizes), array.dtype(floats))
-    made[...] = array.default
+    made[...] = array.row(sizes)
     return made
 
 

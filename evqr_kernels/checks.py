@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
@@ -10,12 +11,14 @@ from numpy.typing import DTypeLike, NDArray
 
 Floats = NDArray[np.floating[Any]]
 Ints = NDArray[np.int32]
+Pixels = NDArray[np.uint16]
+Stamps = NDArray[np.uint32]
 
 Extent = str | int
 """A size that is given, or a letter that stands for the same size in every array of a call."""
 
 
-DTYPES = (np.dtype(np.float32), np.dtype(np.float64), np.dtype(np.int32))
+DTYPES = tuple(map(np.dtype, (np.float32, np.float64, np.int32, np.uint16, np.uint32)))
 """Of all arrays."""
 
 MOST_ELEMENTS = 2**31 - 1
@@ -44,7 +47,7 @@ def check_contiguous(name: str, contiguous: bool) -> None:
 def check_dtype(name: str, dtype: DTypeLike) -> None:
     """Raise TypeError for a dtype that no kernel works on."""
     if np.dtype(dtype) not in DTYPES:
-        raise TypeError(f"{name} must be float32, float64 or int32, got {np.dtype(dtype)}")
+        raise TypeError(f"{name} must be float32, float64, int32, uint16 or uint32, got {np.dtype(dtype)}")
 
 
 class ArrayChecks:
@@ -75,11 +78,11 @@ class ArrayChecks:
         self.sizes[str(letter)] = count if count in counts else min(counts)
         self.floats(name, array, "B", self.sizes[str(letter)])
 
-    def ints(self, name: str, array: Any, *shape: Extent) -> None:
-        """Raise unless ``array`` is int32 and has the shape."""
+    def ints(self, name: str, array: Any, *shape: Extent, dtype: DTypeLike = np.int32) -> None:
+        """Raise unless ``array`` is of these integers and has the shape."""
         self._numpy(name, array)
-        if array.dtype != np.dtype(np.int32):
-            raise TypeError(f"{name} must be int32, got {array.dtype}")
+        if array.dtype != np.dtype(dtype):
+            raise TypeError(f"{name} must be {np.dtype(dtype)}, got {array.dtype}")
         self._shape(name, array, shape)
 
     def windows(self, window_ptr: Any) -> None:
@@ -110,6 +113,22 @@ class ArrayChecks:
         """Raise unless every entry is the index of one of ``count`` things."""
         if len(array) and not (0 <= array.min() and array.max() < count):
             raise ValueError(f"{name} must be 0 to {count - 1}, got {array.min()} to {array.max()}")
+
+    def ranges(self, name: str, array: Ints, count: int) -> None:
+        """Raise unless every row is the first of ``count`` things and the one behind the last."""
+        if len(array) and not (0 <= array.min() and array.max() <= count):
+            raise ValueError(f"{name} must be 0 to {count}, got {array.min()} to {array.max()}")
+        if (array[:, 0] > array[:, 1]).any():
+            first, last = array[int(np.argmax(array[:, 0] > array[:, 1]))]
+            raise ValueError(f"{name} must not end before it begins, got {first} to {last}")
+
+    def at_most(self, name: str, array: Ints, most: Sequence[int]) -> None:
+        """Raise unless every row is 0 to the numbers of ``most``."""
+        for column, bound in zip(array.T, most, strict=True):
+            if len(column) and not (0 <= column.min() and column.max() <= bound):
+                raise ValueError(
+                    f"{name} must be 0 to {tuple(most)}, got {column.min()} to {column.max()} for {bound}"
+                )
 
     def at_least(self, name: str, value: float, least: float) -> None:
         """Raise unless ``value`` is a number of at least ``least``."""

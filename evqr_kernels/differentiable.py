@@ -168,7 +168,7 @@ class Front:
         args: tuple[Any, ...],
         kwargs: dict[str, Any],
         require: Callable[[str, Any], A],
-        default: Callable[[Input, Shape, A], A],
+        default: Callable[[Input, list[float], Shape, A], A],
     ) -> tuple[Rule, list[A]]:
         """Give the rule of a call and its arrays.
 
@@ -179,7 +179,7 @@ class Front:
         require : callable
             Raises TypeError unless what has a name is an array.
         default : callable
-            Makes what stands for an input that is not given, of a shape, like an array of floats.
+            Makes what stands for an input that is not given, of a row and a shape, like an array of floats.
         """
         call = self.signature.bind(*args, **kwargs)
         call.apply_defaults()
@@ -201,7 +201,7 @@ class Front:
             if array.name not in given:
                 # 0 where no other input tells a size: the check says what is wrong with that
                 shape = tuple(sizes.get(n, 0) if isinstance(n, str) else n for n in array.shape)
-                given[array.name] = default(array, shape, like)
+                given[array.name] = default(array, array.row(sizes), shape, like)
         return rule, [given[name] for name in rule.inputs]
 
     def dress(self, function: Callable[..., Any]) -> Callable[..., Any]:

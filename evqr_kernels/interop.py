@@ -67,7 +67,7 @@ def warp_view(array: Any) -> Array:
     Parameters
     ----------
     array : array
-        float32, float64 or int32; speaks DLPack or one of the array interfaces.
+        float32, float64, int32, uint16 or uint32; speaks DLPack or one of the array interfaces.
 
     Returns
     -------

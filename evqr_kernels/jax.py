@@ -15,7 +15,7 @@ differentiable in; other inputs get a gradient of zero.  Adjoints are not differ
 calls one after the other.
 
 They raise TypeError and ValueError as those functions do.  But they look at no values of arrays: windows,
-indices and frames must be right.
+indices, frames and extents must be right.
 """
 
 from __future__ import annotations
@@ -54,9 +54,9 @@ def _array(name: str, value: Any) -> jax.Array:
     return value
 
 
-def _default(array: Input, shape: Shape, like: jax.Array) -> jax.Array:
+def _default(array: Input, row: list[float], shape: Shape, like: jax.Array) -> jax.Array:
     """Make what stands for an input that is not given."""
-    return jnp.broadcast_to(jnp.array(array.default, jnp.int32 if array.integer else like.dtype), shape)
+    return jnp.broadcast_to(jnp.array(row, jnp.int32 if array.integer else like.dtype), shape)
 
 
 def _function(op: str) -> Callable[..., jax.Array]:

@@ -64,15 +64,18 @@ class Array(Argument):
     shape : tuple
         Sizes.
     integer : bool
-        Whether it is of int32; otherwise it has the call's float dtype.
+        Whether it is of integers; otherwise it has the call's float dtype.
+    integers : type
+        Of which.
     """
 
     shape: tuple[Extent, ...]
     integer: bool = False
+    integers: type[np.integer[Any]] = np.int32
 
     def dtype(self, floats: DTypeLike) -> np.dtype[Any]:
         """Give the dtype in a call whose floats are ``floats``."""
-        return np.dtype(np.int32) if self.integer else np.dtype(floats)
+        return np.dtype(self.integers if self.integer else floats)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -85,9 +88,13 @@ class Input(Array):
         It holds indices of so many things.
     ascending : bool
         It is a ``window_ptr``, which cuts E events into B windows.
+    ranges : str or None
+        It cuts windows out of so many things: the first of each, and the one behind its last.
+    most : tuple of size
+        What the entries of a row may be at most, and not below 0; empty for any.
     choices : tuple of int
         What its last size may be; empty for any.
-    default : float, tuple of float or None
+    default : float, tuple of float or letter, or None
         What stands for it where a caller gives none: a value, or a row of them; None if it must be given.
     check : callable or None
         Raises ValueError unless its contents are right; called where the host can read them.
@@ -97,10 +104,17 @@ class Input(Array):
 
     index: str | None = None
     ascending: bool = False
+    ranges: str | None = None
+    most: tuple[Extent, ...] = ()
     choices: tuple[int, ...] = ()
-    default: float | tuple[float, ...] | None = None
+    default: float | tuple[float | str, ...] | None = None
     check: Callable[[NDArray[Any]], None] | None = None
     made: Callable[[Sizes, np.dtype[Any]], Any] | None = None
+
+    def row(self, sizes: Sizes) -> list[float]:
+        """Give what stands for each of its rows where a caller gives none; a letter without value is 0."""
+        default = self.default if isinstance(self.default, tuple) else (self.default or 0.0,)
+        return [sizes.get(value, 0) if isinstance(value, str) else value for value in default]
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -154,6 +168,8 @@ class Variant:
     ----------
     tile : int
         How much one thread takes together: neighbours in memory, events or samples.
+    threads : int
+        So many share the events of a window.
     rows : int
         So many rows of it.
     device : str or None
@@ -167,6 +183,7 @@ class Variant:
     """
 
     tile: int = 1
+    threads: int = 1
     rows: int = 1
     device: str | None = None
     architecture: int = 0
@@ -306,7 +323,7 @@ def buffers_behind(operation: Operation, given: Sequence[Any], settings: Sizes, 
     shapes = {checked_name(a): v.shape for a, v in named.items() if isinstance(a, Array)}
     known = {a.name: v for a, v in named.items() if isinstance(a, Setting)} | dict(settings)
     sizes = {**operation.bind(shapes, known), "tile": tile}
-    floats = next(v.dtype for a, v in named.items() if isinstance(a, Array) and not a.integer)
+    floats = next((v.dtype for a, v in named.items() if isinstance(a, Array) and not a.integer), np.float32)
     rest = [a for a in operation.arguments[len(given) :] if isinstance(a, (Output, Scratch))]
     return [Buffer(array, shape_of(array, sizes), array.dtype(floats)) for array in rest]
 

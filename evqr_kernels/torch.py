@@ -16,7 +16,7 @@ Adjoints are not differentiable once more.
 
 They raise TypeError and ValueError as those functions do, also for a tensor that is not contiguous, is on
 another device than the first, or requires a gradient that the operation does not have.  But they look at no
-values of tensors (that would wait for the device): windows, indices and frames must be right.
+values of tensors (that would wait for the device): windows, indices, frames and extents must be right.
 """
 
 from __future__ import annotations
@@ -54,10 +54,10 @@ def _tensor(name: str, value: Any) -> Tensor:
     return value
 
 
-def _default(array: Input, shape: Shape, like: Tensor) -> Tensor:
+def _default(array: Input, row: list[float], shape: Shape, like: Tensor) -> Tensor:
     """Make what stands for an input that is not given."""
     dtype = torch.int32 if array.integer else like.dtype
-    return torch.tensor(array.default, dtype=dtype, device=like.device).expand(shape).contiguous()
+    return torch.tensor(row, dtype=dtype, device=like.device).expand(shape).contiguous()
 
 
 def _function(op: str) -> Callable[..., Tensor]:

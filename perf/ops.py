@@ -96,12 +96,43 @@ def deposit_events_adjoint(size: Size, rng, dtype) -> Problem:
     return problem("deposit_events_adjoint", inputs, count, 12 * count, "event")
 
 
+def _extent(size: Size) -> np.ndarray:
+    return np.full((size.batch, 2), size.side, np.int32)
+
+
+def _packed(size: Size, rng) -> list:
+    """Columns x, y, stamp and window_ptr; 1 ms, from 0."""
+    count = size.batch * size.events
+    x, y = rng.integers(0, size.side, (2, count)).astype(np.uint16)
+    stamp = np.sort(rng.integers(0, 2000, (size.batch, size.events)), axis=1).astype(np.uint32).ravel()
+    first = np.arange(size.batch) * size.events
+    return [x, y, stamp, np.stack([first, first + size.events], axis=1).astype(np.int32)]
+
+
+def bin_packed_events(size: Size, rng, dtype) -> Problem:
+    inputs = [*_packed(size, rng), 1.0]
+    made = problem(
+        "bin_packed_events", inputs, len(inputs[0]), 3 * len(inputs[0]), "event", shape=(size.side, size.side)
+    )
+    made.outputs = [output.astype(dtype) for output in made.outputs]  # no input is of floats
+    return made
+
+
+def deposit_packed_events(size: Size, rng, dtype) -> Problem:
+    velocity = rng.uniform(-3e-3, 3e-3, (size.batch, 2)).astype(dtype)
+    frame = np.tile(np.array([0, 0, 1], dtype), (size.batch, 1))
+    t_ref = np.full(size.batch, 500, np.int32)
+    inputs = [*_packed(size, rng), t_ref, velocity, frame, _extent(size)]
+    count, shape = len(inputs[0]), (size.side, size.side)
+    return problem("deposit_packed_events", inputs, count, 12 * count, "event", shape=shape)
+
+
 def _lag(size: Size, rng, dtype) -> list:
     angle = rng.uniform(0, 6, size.batch)
     direction = np.stack([np.cos(angle), np.sin(angle)], axis=1).astype(dtype)
     lag = rng.uniform(0, 3, (size.batch, 2)).astype(dtype)
     taps = rng.normal(size=(2, 5)).astype(dtype)
-    return [np.arange(size.batch, dtype=np.int32), direction, lag, taps]
+    return [np.arange(size.batch, dtype=np.int32), direction, lag, taps, _extent(size)]
 
 
 def lag_operator(size: Size, rng, dtype) -> Problem:
@@ -461,6 +492,8 @@ PROBLEMS: dict[str, Callable[..., Problem]] = {
         splat_events_affine_adjoint,
         deposit_events,
         deposit_events_adjoint,
+        bin_packed_events,
+        deposit_packed_events,
         lag_operator,
         lag_operator_adjoint,
         render_code,

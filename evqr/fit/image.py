@@ -61,6 +61,7 @@ class Sharpen(Step):
         self._scratch = workspace.scratch("lag_operator", N=count, Y=height, X=width)
         self._first = workspace.put(np.zeros(count, np.int32))
         self._taps = workspace.put(blur_taps(blur_cells))
+        self._extent = workspace.put(np.full((count, 2), (height, width), np.int32))
         self.images = Images(workspace.empty(count, height, width))
 
     def write(self, motion: Motion, region: Region, lags_px: Sequence[tuple[float, float]]) -> None:
@@ -71,8 +72,8 @@ class Sharpen(Step):
     def launch(self) -> None:
         """Launch the kernels one by one."""
         self._backend.lag_operator(
-            self._cells, self._first, self._direction.device, self._lag.device, self._taps, *self._scratch,
-            self.images.device,
+            self._cells, self._first, self._direction.device, self._lag.device, self._taps, self._extent,
+            *self._scratch, self.images.device,
         )  # fmt: skip
 
 

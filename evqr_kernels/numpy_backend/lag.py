@@ -9,36 +9,43 @@ from numpy.typing import NDArray
 def deposit_events(x, y, t, weight, window_ptr, motion, frame, deposit_out) -> None:
     """Share events among the cells around them, ON and OFF apart; accumulates."""
     for b in range(len(motion)):
-        events, cells = shares_of(x, y, t, weight, window_ptr, motion, frame, b, deposit_out.shape)
-        for place, share in cells:
-            np.add.at(deposit_out[b], place, weight[events] * share)
+        part = slice(window_ptr[b], window_ptr[b + 1])
+        deposit_window(x[part], y[part], t[part], weight[part], motion[b], frame[b], deposit_out[b])
 
 
-def lag_operator(deposit, deposit_idx, direction, lag, taps, rows_out, image_out) -> None:
+def deposit_window(x, y, t, weight, motion, frame, deposit_out) -> None:
+    """Share the events of one window among the cells (2, Y, X) around them; accumulates."""
+    events, cells = shares_of(x, y, t, weight, motion, frame, deposit_out.shape)
+    for place, share in cells:
+        np.add.at(deposit_out, place, weight[events] * share)
+
+
+def lag_operator(deposit, deposit_idx, direction, lag, taps, extent, rows_out, image_out) -> None:
     """Blur deposits and undo the lag; overwrites."""
     image_out[:] = 0
     blur, slope = taps
     reach = len(blur) // 2
-    for n, b in enumerate(deposit_idx):
+    for n, (b, (height, width)) in enumerate(zip(deposit_idx, extent, strict=True)):
+        own = np.s_[reach : max(height - reach, 0), reach : max(width - reach, 0)]
         for p in range(2):
-            across = filtered(deposit[b, p], blur, axis=1)
-            along = across - lag[n, p] * direction[n, 0] * filtered(deposit[b, p], slope, axis=1)
+            cells = deposit[b, p, :height, :width]
+            across = filtered(cells, blur, axis=1)
+            along = across - lag[n, p] * direction[n, 0] * filtered(cells, slope, axis=1)
             image = filtered(along, blur, axis=0) - lag[n, p] * direction[n, 1] * filtered(
                 across, slope, axis=0
             )
-            image_out[n, reach:-reach, reach:-reach] += image[reach:-reach, reach:-reach]
+            image_out[n][own] += image[own]
 
 
-def shares_of(x, y, t, weight, window_ptr, motion, frame, b, shape) -> tuple[NDArray, list]:
+def shares_of(x, y, t, weight, motion, frame, shape) -> tuple[NDArray, list]:
     """Events of a window that lie between cells, and for the four around: (image, row, column), share."""
-    height, width = shape[2:]
-    part = slice(window_ptr[b], window_ptr[b + 1])
-    half = x.dtype.type(0.5)
-    cx = (x[part] - t[part] * motion[b, 0] - frame[b, 0] + half) / frame[b, 2] - half
-    cy = (y[part] - t[part] * motion[b, 1] - frame[b, 1] + half) / frame[b, 2] - half
+    _, height, width = shape
+    half = motion.dtype.type(0.5)
+    cx = (x - t * motion[0] - frame[0] + half) / frame[2] - half
+    cy = (y - t * motion[1] - frame[1] + half) / frame[2] - half
     # also false for NaN
-    inside = np.flatnonzero((cx >= 0) & (cy >= 0) & (cx < width - 1) & (cy < height - 1))
-    cx, cy, events = cx[inside], cy[inside], part.start + inside
+    events = np.flatnonzero((cx >= 0) & (cy >= 0) & (cx < width - 1) & (cy < height - 1))
+    cx, cy = cx[events], cy[events]
     column, row = cx.astype(int), cy.astype(int)
     fx, fy = cx - column, cy - row
     image = (weight[events] < 0).astype(int)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from typing import Any
 
+import numpy as np
 from numpy.typing import NDArray
 
 from evqr_kernels.operation import (
@@ -42,12 +43,25 @@ COLUMNS = (floats("x", "E"), floats("y", "E"), floats("t", "E"), floats("weight"
 SPLATTED = (*COLUMNS, floats("motion", "B", "P", choices=(2, 6)), floats("lag", "B", 2, default=0.0), FRAME)
 DEPOSITED = (*COLUMNS, floats("motion", "B", 2), FRAME)
 
+PACKED = (
+    ints("x", "E", integers=np.uint16),
+    ints("y", "E", integers=np.uint16),
+    ints("stamp", "E", integers=np.uint32),
+    ints("window_ptr", "B", 2, ranges="E"),
+)
+SHARED_OUT = (Variant(device="cpu"), Variant(threads=512))
+
 BLURRED: tuple[Input, ...] = (
     ints("deposit_idx", "N", index="B"),
     floats("direction", "N", 2),
     floats("lag", "N", 2),
     floats("taps", 2, "K"),
 )
+
+
+def _extent(rows: str) -> Input:
+    """Rows and columns of each image that are its own: by default all."""
+    return ints("extent", rows, 2, default=("Y", "X"), most=("Y", "X"))
 
 
 def _odd_taps(arrays: Arrays, sizes: Sizes) -> None:
@@ -111,11 +125,33 @@ OPERATIONS = (
         ),
     ),
     Operation(
+        name="bin_packed_events",
+        file="packed",
+        arguments=(*PACKED, setting("reduction", 1e-6), accumulated("image_out", "B", "Y", "X")),
+        parameters=(IMAGE,),
+        variants=SHARED_OUT,
+    ),
+    Operation(
+        name="deposit_packed_events",
+        file="packed",
+        arguments=(
+            *PACKED,
+            ints("t_ref", "B"),
+            floats("motion", "B", 2),
+            FRAME,
+            _extent("B"),
+            accumulated("deposit_out", "B", 2, "Y", "X"),
+        ),
+        parameters=(IMAGE,),
+        variants=SHARED_OUT,
+    ),
+    Operation(
         name="lag_operator",
         file="lag",
         arguments=(
             floats("deposit", "B", 2, "Y", "X"),
             *BLURRED,
+            _extent("N"),
             scratch("rows_out", "N", 2, "Y", "X"),
             overwritten("image_out", "N", "Y", "X"),
         ),
@@ -134,6 +170,7 @@ OPERATIONS = (
         file="lag_adjoint",
         arguments=(
             *BLURRED,
+            _extent("N"),
             floats("adj_image", "N", "Y", "X"),
             scratch("rows_out", "N", 2, "Y", "X"),
             overwritten("adj_deposit_out", "B", 2, "Y", "X"),

@@ -3,13 +3,15 @@
 from __future__ import annotations
 
 from evqr_kernels.call import checked
-from evqr_kernels.checks import Floats, Ints
+from evqr_kernels.checks import Floats, Ints, Pixels, Stamps
 from evqr_kernels.config import SplatConfig
 
 __all__ = [
     "bin_events",
+    "bin_packed_events",
     "deposit_events",
     "deposit_events_adjoint",
+    "deposit_packed_events",
     "lag_operator",
     "lag_operator_adjoint",
     "splat_events",
@@ -256,16 +258,122 @@ def deposit_events_adjoint(
 
 
 @checked
+def bin_packed_events(
+    x: Pixels, y: Pixels, stamp: Stamps, window_ptr: Ints, *, reduction: float = 1.0,
+    shape: tuple[int, int] | None = None, out: Floats | None = None, backend: str = "auto",
+    device: str | None = None,
+) -> Floats:  # fmt: skip
+    """Count events of eight bytes into pixels of ``reduction`` px: their polarities, +1 and -1.
+
+    Parameters
+    ----------
+    x, y : (E,) uint16
+        Column and row of the pixel [px].
+    stamp : (E,) uint32
+        Twice the time since a reference [us], which each window chooses, plus 1 where it became brighter.
+    window_ptr : (B, 2) int32
+        First event of each window, and the one behind its last; windows may share events, or have none.
+    reduction : float [px]
+        Side of an image pixel.
+    shape : (int, int)
+        (Y, X) of the image; not needed with ``out``.
+    out : (B, Y, X) float [1]
+        ACCUMULATED; made and zeroed, in float32, when None.
+    backend, device : str
+        See `evqr_kernels.ops`.
+
+    Returns
+    -------
+    image : (B, Y, X) float [1]
+        ``out``, or the new image; events outside it are dropped.
+
+    Raises
+    ------
+    ValueError
+        If a row of ``window_ptr`` is not 0 to E, or decreases, or ``reduction`` is less than 1e-6.
+    TypeError
+        If there is neither ``shape`` nor ``out``.
+
+    See Also
+    --------
+    bin_events
+
+    Notes
+    -----
+    Cost: one addition to the image an event, in one pass; no scratch.
+
+    Determinism: atomics; to rounding on GPUs, bit for bit on CPUs.
+    """
+    ...
+
+
+@checked
+def deposit_packed_events(
+    x: Pixels, y: Pixels, stamp: Stamps, window_ptr: Ints, t_ref: Ints, motion: Floats, *,
+    frame: Floats | None = None, extent: Ints | None = None, shape: tuple[int, int] | None = None,
+    out: Floats | None = None, backend: str = "auto", device: str | None = None,
+) -> Floats:  # fmt: skip
+    """Share transported events of eight bytes among the four cells around each, ON and OFF apart.
+
+    Parameters
+    ----------
+    x, y, stamp, window_ptr
+        As in `bin_packed_events`.
+    t_ref : (B,) int32
+        When each window is looked at [us], since the reference of its events: they are brought to where they
+        were then.
+    motion : (B, 2) float [px/us]
+        Velocity, the same everywhere.
+    frame : (B, 3) float [px]
+        Where the images lie, as in `splat_events`.
+    extent : (B, 2) int32
+        Rows and columns of the images that are the window's own, from the first: cells beyond stay as they
+        are; by default all, (Y, X).
+    shape : (int, int)
+        (Y, X) of the images; not needed with ``out``.
+    out : (B, 2, Y, X) float [1]
+        ACCUMULATED; made and zeroed when None.
+    backend, device : str
+        See `evqr_kernels.ops`.
+
+    Returns
+    -------
+    deposit : (B, 2, Y, X) float [1]
+        Images of ON and of OFF events, which count +1 and -1; events that do not lie between four cells are
+        dropped.
+
+    Raises
+    ------
+    ValueError
+        If a row of ``window_ptr`` is not 0 to E, or decreases, a side in ``frame`` is not positive, or
+        ``extent`` is less than 0 or more than (Y, X).
+    TypeError
+        If there is neither ``shape`` nor ``out``.
+
+    See Also
+    --------
+    deposit_events, lag_operator
+
+    Notes
+    -----
+    Cost: four additions to the image an event, in one pass; no scratch.
+
+    Determinism: atomics; to rounding on GPUs, bit for bit on CPUs.
+    """
+    ...
+
+
+@checked
 def lag_operator(
     deposit: Floats, deposit_idx: Ints, direction: Floats, lag: Floats, taps: Floats, *,
-    backend: str = "auto", device: str | None = None,
+    extent: Ints | None = None, backend: str = "auto", device: str | None = None,
 ) -> Floats:  # fmt: skip
     """Blur deposits and undo pixels that lag: ``sum_p (1 - lag_p direction . grad) blur deposit_p``.
 
     Parameters
     ----------
     deposit : (B, 2, Y, X) float [weight]
-        Of ON and of OFF events; X at least 16 + K.
+        Of ON and of OFF events.
     deposit_idx : (N,) int32
         The deposit that each image is made of.
     direction : (N, 2) float [1]
@@ -274,18 +382,22 @@ def lag_operator(
         Of ON and of OFF pixels.
     taps : (2, K) float [1, 1 / image px]
         A sampled blur and its slope; K odd, at least 3.
+    extent : (N, 2) int32
+        Rows and columns that each image has for its own, from the first: what the deposit holds beyond counts
+        for nothing, as if it were outside; by default all, (Y, X).
     backend, device : str
         See `evqr_kernels.ops`.
 
     Returns
     -------
     image : (N, Y, X) float [weight]
-        The images; 0 closer to the border than the taps reach.
+        The images; 0 beyond their extent, and closer to its border than the taps reach.
 
     Raises
     ------
     ValueError
-        If an entry of ``deposit_idx`` is not 0 to B - 1, K is even or less than 3, or X is less than 16 + K.
+        If an entry of ``deposit_idx`` is not 0 to B - 1, K is even or less than 3, or ``extent`` is less than
+        0 or more than (Y, X).
 
     See Also
     --------
@@ -304,13 +416,13 @@ def lag_operator(
 @checked
 def lag_operator_adjoint(
     deposit_idx: Ints, direction: Floats, lag: Floats, taps: Floats, adj_image: Floats, *, deposits: int,
-    backend: str = "auto", device: str | None = None,
+    extent: Ints | None = None, backend: str = "auto", device: str | None = None,
 ) -> Floats:  # fmt: skip
     """Adjoint of `lag_operator` in the deposit, in which it is linear.
 
     Parameters
     ----------
-    deposit_idx, direction, lag, taps
+    deposit_idx, direction, lag, taps, extent
         As in `lag_operator`.
     adj_image : (N, Y, X) float [loss / weight]
         Derivative of the loss with respect to the images.
@@ -327,8 +439,8 @@ def lag_operator_adjoint(
     Raises
     ------
     ValueError
-        If an entry of ``deposit_idx`` is not 0 to ``deposits`` - 1, ``deposits`` is less than 0, or K is even
-        or less than 3.
+        If an entry of ``deposit_idx`` is not 0 to ``deposits`` - 1, ``deposits`` is less than 0, K is even or
+        less than 3, or ``extent`` is less than 0 or more than (Y, X).
 
     Notes
     -----

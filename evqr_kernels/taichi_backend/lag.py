@@ -91,18 +91,21 @@ def make_lag_rows(dtype, size: int, block: int):
         direction: array(dtype, 2),
         lag: array(dtype, 2),
         taps: array(dtype, 2),
+        extent: array(ti.i32, 2),
         rows_out: array(dtype, 4),
     ):
         for n, y in ti.ndrange(rows_out.shape[0], rows_out.shape[2]):
+            if y >= extent[n, 0]:
+                continue
             b = deposit_idx[n]
             direction_x = direction[n, 0]
             direction_y = direction[n, 1]
             lag_on = lag[n, 0]
             lag_off = lag[n, 1]
-            width = rows_out.shape[3]
-            for k in range((width - 2 * reach + block - 1) // block):
+            right = extent[n, 1] - reach
+            for k in range((ti.max(right - reach, 0) + block - 1) // block):
                 # the last block ends with the row; what it shares with the one before is written twice, alike
-                x = ti.min(reach + block * k, width - reach - block)
+                x = ti.max(ti.min(reach + block * k, right - block), reach)
                 along = ti.Vector.zero(dtype, block)
                 across = ti.Vector.zero(dtype, block)
                 for i in range(size):
@@ -135,16 +138,14 @@ def make_lag_columns(dtype, size: int, block: int):
     reach = size // 2
 
     @ti.kernel
-    def lag_columns(rows: array(dtype, 4), taps: array(dtype, 2), image_out: array(dtype, 3)):
+    def lag_columns(
+        rows: array(dtype, 4), taps: array(dtype, 2), extent: array(ti.i32, 2), image_out: array(dtype, 3)
+    ):
         for n, y in ti.ndrange(image_out.shape[0], image_out.shape[1]):
-            height = image_out.shape[1]
-            width = image_out.shape[2]
-            inside = y >= reach and y < height - reach
-            for i in range(reach):
-                image_out[n, y, i] = dtype(0.0)
-                image_out[n, y, width - 1 - i] = dtype(0.0)
-            for k in range((width - 2 * reach + block - 1) // block):
-                x = ti.min(reach + block * k, width - reach - block)
+            right = extent[n, 1] - reach
+            inside = y >= reach and y < extent[n, 0] - reach
+            for k in range((ti.max(right - reach, 0) + block - 1) // block):
+                x = ti.max(ti.min(reach + block * k, right - block), reach)
                 total = ti.Vector.zero(dtype, block)
                 if inside:
                     for j in range(size):
@@ -157,11 +158,16 @@ def make_lag_columns(dtype, size: int, block: int):
                 to = run_at(row_of(image_out, n, y) + x)
                 for p in ti.static(range(block)):
                     image_out[0, 0, to + p] = total[p]
+            # the last block may have gone beyond, where all of it is narrower than a block
+            for i in range(reach):
+                image_out[n, y, i] = dtype(0.0)
+            for i in range(ti.max(right, reach), image_out.shape[2]):
+                image_out[n, y, i] = dtype(0.0)
 
     return lag_columns
 
 
-def lag_operator(deposit, deposit_idx, direction, lag, taps, rows_out, image_out) -> None:
+def lag_operator(deposit, deposit_idx, direction, lag, taps, extent, rows_out, image_out) -> None:
     """Launch both passes; overwrites."""
     dtype, size = float_of(deposit), taps.shape[1]
     inner = image_out.shape[2] - 2 * (size // 2)
@@ -169,5 +175,5 @@ def lag_operator(deposit, deposit_idx, direction, lag, taps, rows_out, image_out
         clear(image_out)
         return
     block = variant("lag_operator", is_on_cpu(deposit), inner).tile
-    launch(make_lag_rows(dtype, size, block), deposit, deposit_idx, direction, lag, taps, rows_out)
-    launch(make_lag_columns(dtype, size, block), rows_out, taps, image_out)
+    launch(make_lag_rows(dtype, size, block), deposit, deposit_idx, direction, lag, taps, extent, rows_out)
+    launch(make_lag_columns(dtype, size, block), rows_out, taps, extent, image_out)

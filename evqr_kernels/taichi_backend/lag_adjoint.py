@@ -77,22 +77,23 @@ def make_lag_columns_adjoint(dtype):
     def lag_columns_adjoint(
         adj_image: array(dtype, 3),
         taps: array(dtype, 2),
+        extent: array(ti.i32, 2),
         adj_rows_out: array(dtype, 4),
     ):
         for n, y in ti.ndrange(adj_image.shape[0], adj_image.shape[1]):
             size = taps.shape[1]
             reach = size // 2
-            height = adj_image.shape[1]
-            width = adj_image.shape[2]
-            for x in range(width):
+            bottom = extent[n, 0] - reach
+            right = extent[n, 1] - reach
+            for x in range(adj_image.shape[2]):
                 along = dtype(0.0)
                 across = dtype(0.0)
                 # the operator makes no use of cells near the border: there the image is 0 whatever the
                 # deposit
-                if x >= reach and x < width - reach:
+                if x >= reach and x < right:
                     for j in range(size):
                         row = y + reach - j
-                        if row >= reach and row < height - reach:
+                        if row >= reach and row < bottom:
                             along += taps[0, j] * adj_image[n, row, x]
                             across += taps[1, j] * adj_image[n, row, x]
                 adj_rows_out[n, 0, y, x] = along
@@ -142,10 +143,12 @@ def make_lag_rows_adjoint(dtype):
     return lag_rows_adjoint
 
 
-def lag_operator_adjoint(deposit_idx, direction, lag, taps, adj_image, rows_out, adj_deposit_out) -> None:
+def lag_operator_adjoint(
+    deposit_idx, direction, lag, taps, extent, adj_image, rows_out, adj_deposit_out
+) -> None:
     """Launch both passes; overwrites."""
     dtype = float_of(adj_image)
-    launch(make_lag_columns_adjoint(dtype), adj_image, taps, rows_out)
+    launch(make_lag_columns_adjoint(dtype), adj_image, taps, extent, rows_out)
     # a CPU takes rows whole; on a GPU a thread has one cell, which looks at all images
     run = max(adj_deposit_out.shape[3], 1) if is_on_cpu(adj_image) else 1
     launch(make_lag_rows_adjoint(dtype), rows_out, deposit_idx, direction, lag, taps, run, adj_deposit_out)

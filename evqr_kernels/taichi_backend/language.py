@@ -49,7 +49,13 @@ def _import_taichi():
 ti = _import_taichi()
 
 
-DTYPES = {np.dtype(np.float32): ti.f32, np.dtype(np.float64): ti.f64, np.dtype(np.int32): ti.i32}
+DTYPES = {
+    np.dtype(np.float32): ti.f32,
+    np.dtype(np.float64): ti.f64,
+    np.dtype(np.int32): ti.i32,
+    np.dtype(np.uint16): ti.u16,
+    np.dtype(np.uint32): ti.u32,
+}
 """Taichi's types of elements by NumPy's."""
 
 

@@ -20,7 +20,9 @@ from evqr_kernels.registry import require_device
 from evqr_kernels.warp_backend import replay
 from evqr_kernels.warp_backend.language import clear, kernels_of, record, variant
 
-_DTYPES = {np.dtype(np.float32): wp.float32, np.dtype(np.float64): wp.float64, np.dtype(np.int32): wp.int32}
+_DTYPES = {
+    np.dtype(dtype.__name__): dtype for dtype in (wp.float32, wp.float64, wp.int32, wp.uint16, wp.uint32)
+}
 _NO_DRIVER = b"Could not find or load the NVIDIA CUDA driver"
 
 

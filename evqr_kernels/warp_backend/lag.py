@@ -14,7 +14,8 @@ from one deposit:
 
 Rows first: ``along = sum_p b * deposit_p - lag_p d_x b' * deposit_p`` and
 ``across = sum_p -lag_p d_y b * deposit_p``; then columns, ``image = b * along + b' * across``.  Cells nearer
-to the border than the taps reach are 0.
+to the border than the taps reach are 0.  An image may be larger than its own part of it, its extent: the
+border is that of this part, and what is beyond is 0.
 
 The adjoints are in ``lag_adjoint.py``.
 """
@@ -102,14 +103,19 @@ def make_lag_rows(dtype: type, block: int) -> wp.Kernel:
         direction: wp.array2d(dtype=dtype),
         lag: wp.array2d(dtype=dtype),
         taps: wp.array2d(dtype=dtype),
+        extent: wp.array2d(dtype=wp.int32),
         rows_out: wp.array4d(dtype=vec_block),
     ):
         n, y, k = wp.tid()
         b = deposit_idx[n]
         size = taps.shape[1]
         reach = size // 2
+        right = extent[n, 1] - reach
+        x = reach + block * k
+        if y >= extent[n, 0] or x >= right:
+            return
         # the last block ends with the row; what it shares with the one before is written twice, alike
-        x = wp.min(reach + block * k, rows_out.shape[3] - 1 - reach)
+        x = wp.max(wp.min(x, right - block), reach)
         on = vec_block()
         off = vec_block()
         on_slope = vec_block()
@@ -138,29 +144,39 @@ def make_lag_columns(dtype: type, block: int) -> wp.Kernel:
     def lag_columns(
         rows: wp.array4d(dtype=vec_block),
         taps: wp.array2d(dtype=dtype),
+        extent: wp.array2d(dtype=wp.int32),
         image_out: wp.array3d(dtype=dtype),
         blocks_out: wp.array3d(dtype=vec_block),
     ):
         n, y, k = wp.tid()
         size = taps.shape[1]
         reach = size // 2
-        height = image_out.shape[1]
         width = image_out.shape[2]
+        right = extent[n, 1] - reach
         if k == 0:
             for i in range(reach):
                 image_out[n, y, i] = dtype(0.0)
                 image_out[n, y, width - 1 - i] = dtype(0.0)
-        x = wp.min(reach + block * k, blocks_out.shape[2] - 1 - reach)
-        total = vec_block()
-        if y >= reach and y < height - reach:
-            for j in range(size):
-                total += taps[0, j] * rows[n, 0, y + j - reach, x] + taps[1, j] * rows[n, 1, y + j - reach, x]
-        blocks_out[n, y, x] = total
+        first = reach + block * k
+        if first < right:
+            x = wp.max(wp.min(first, right - block), reach)
+            total = vec_block()
+            if y >= reach and y < extent[n, 0] - reach:
+                for j in range(size):
+                    row = y + j - reach
+                    total += taps[0, j] * rows[n, 0, row, x] + taps[1, j] * rows[n, 1, row, x]
+                if right - x < block:  # all of it is narrower than a block
+                    for p in range(block):
+                        if x + p >= right:
+                            total[p] = dtype(0.0)
+            blocks_out[n, y, x] = total
+        for i in range(wp.max(first, right), wp.min(first + block, width - reach)):
+            image_out[n, y, i] = dtype(0.0)
 
     return lag_columns
 
 
-def lag_operator(deposit, deposit_idx, direction, lag, taps, rows_out, image_out) -> None:
+def lag_operator(deposit, deposit_idx, direction, lag, taps, extent, rows_out, image_out) -> None:
     """Launch both passes; overwrites."""
     dtype, device = deposit.dtype, deposit.device
     count, height, width = image_out.shape
@@ -174,14 +190,14 @@ def lag_operator(deposit, deposit_idx, direction, lag, taps, rows_out, image_out
     launch(
         make_lag_rows(dtype, block),
         (count, height, blocks),
-        inputs=[neighbours(deposit, block), deposit_idx, direction, lag, taps],
+        inputs=[neighbours(deposit, block), deposit_idx, direction, lag, taps, extent],
         outputs=[rows],
         device=device,
     )
     launch(
         make_lag_columns(dtype, block),
         (count, height, blocks),
-        inputs=[rows, taps],
+        inputs=[rows, taps, extent],
         outputs=[image_out, neighbours(image_out, block)],
         device=device,
     )

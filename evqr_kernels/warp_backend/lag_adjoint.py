@@ -4,9 +4,9 @@ With adj = d loss / d deposit, p the sign of the event and T the share that a ce
 
     adj_w_i = sum_x adj_p(x) T(x - c_i)
 
-With adj_n = d loss / d image_n, 0 nearer to the border than the taps reach, and all shifts reversed: columns
-first, ``along_n(y) = sum_j b_j adj_n(y - j)`` and ``across_n(y) = sum_j b'_j adj_n(y - j)``; then rows, added
-up over the images that were made of the deposit,
+With adj_n = d loss / d image_n, 0 nearer to the border of its extent than the taps reach, and all shifts
+reversed: columns first, ``along_n(y) = sum_j b_j adj_n(y - j)`` and
+``across_n(y) = sum_j b'_j adj_n(y - j)``; then rows, added up over the images that were made of the deposit,
 
     adj_p(x) = sum_n sum_i (b_i - lag_p d_x b'_i) along_n(x - i) - lag_p d_y b_i across_n(x - i)
 
@@ -89,13 +89,15 @@ def make_lag_columns_adjoint(dtype: type, block: int) -> wp.Kernel:
     def lag_columns_adjoint(
         adj_blocks: wp.array3d(dtype=vec_block),
         taps: wp.array2d(dtype=dtype),
+        extent: wp.array2d(dtype=wp.int32),
         rows_out: wp.array4d(dtype=dtype),
         row_blocks_out: wp.array4d(dtype=vec_block),
     ):
         n, y, k = wp.tid()
         size = taps.shape[1]
         reach = size // 2
-        height = rows_out.shape[2]
+        height = extent[n, 0]
+        right = extent[n, 1] - reach
         width = rows_out.shape[3]
         if k == 0:
             # the operator makes no use of cells near the border: there the image is 0 whatever the deposit
@@ -112,6 +114,11 @@ def make_lag_columns_adjoint(dtype: type, block: int) -> wp.Kernel:
             adj = adj_blocks[n, y + reach - j, x]
             along += taps[0, j] * adj
             across += taps[1, j] * adj
+        if x + block > right:
+            for p in range(block):
+                if x + p >= right:
+                    along[p] = dtype(0.0)
+                    across[p] = dtype(0.0)
         row_blocks_out[n, 0, y, x] = along
         row_blocks_out[n, 1, y, x] = across
 
@@ -208,7 +215,9 @@ def make_lag_rows_adjoint(dtype: type, block: int) -> wp.Kernel:
     return lag_rows_adjoint
 
 
-def lag_operator_adjoint(deposit_idx, direction, lag, taps, adj_image, rows_out, adj_deposit_out) -> None:
+def lag_operator_adjoint(
+    deposit_idx, direction, lag, taps, extent, adj_image, rows_out, adj_deposit_out
+) -> None:
     """Launch both passes; overwrites."""
     dtype, device = adj_image.dtype, adj_image.device
     count, _, height, width = adj_deposit_out.shape
@@ -222,7 +231,7 @@ def lag_operator_adjoint(deposit_idx, direction, lag, taps, adj_image, rows_out,
     launch(
         make_lag_columns_adjoint(dtype, block),
         (adj_image.shape[0], height, blocks),
-        inputs=[neighbours(adj_image, block), taps],
+        inputs=[neighbours(adj_image, block), taps, extent],
         outputs=[rows_out, rows],
         device=device,
     )

@@ -141,13 +141,42 @@ def deposit_events_adjoint(rng, dtype):
     return call("deposit_events_adjoint", inputs)
 
 
+def packed_inputs(rng, count=300):
+    """x, y, stamp, window_ptr, t_ref of events in and beside the image, of times beyond 2^30 us.
+
+    The first and the last window share events, the middle one is empty.
+    """
+    x, y = (rng.integers(0, size + 9, count).astype(np.uint16) for size in (X, Y))
+    time = (1 << 31) - 3000 + np.sort(rng.integers(0, 3000, count))
+    stamp = (2 * time + rng.integers(0, 2, count)).astype(np.uint32)
+    window_ptr = np.array([[0, 2 * count // 3], [count // 2, count // 2], [count // 3, count]], np.int32)
+    return [x, y, stamp, window_ptr, np.array([1 << 30, 0, (1 << 31) - 1500], np.int32)]
+
+
+def bin_packed_events(rng, dtype):
+    *events, _ = packed_inputs(rng)
+    made = call("bin_packed_events", [*events, 2.0], shape=(Y // 2, X // 2))
+    made.outputs[0] = made.outputs[0].astype(dtype)  # no input is of floats
+    return made
+
+
+def deposit_packed_events(rng, dtype):
+    *events, t_ref = packed_inputs(rng)
+    motion = rng.uniform(-3e-3, 3e-3, (B, 2)).astype(dtype)
+    motion[0] = 0  # of times too long for what moves
+    frame = np.array([[0, 0, 1], [0, 0, 1], [-4.25, 1.5, 1.3]], dtype)
+    extent = np.array([[Y, X], [5, 9], [Y - 6, X - 7]], np.int32)
+    return call("deposit_packed_events", [*events, t_ref, motion, frame, extent], shape=(Y, X))
+
+
 def lag_operator(rng, dtype):
     deposit = rng.normal(size=(B, 2, Y, X)).astype(dtype)
     angle = rng.uniform(0, 6, 3)
     direction = np.stack([np.cos(angle), np.sin(angle)], axis=1).astype(dtype)
     lag = rng.uniform(0, 3, (3, 2)).astype(dtype)
     taps = rng.normal(size=(2, 5)).astype(dtype)
-    inputs = [deposit, np.array([2, 0, 2], np.int32), direction, lag, taps]
+    extent = np.array([[Y, X], [Y - 4, X - 11], [Y, X - 1]], np.int32)
+    inputs = [deposit, np.array([2, 0, 2], np.int32), direction, lag, taps, extent]
     return call("lag_operator", inputs)
 
 
@@ -403,6 +432,8 @@ CALLS = [
     splat_events_affine_adjoint,
     deposit_events,
     deposit_events_adjoint,
+    bin_packed_events,
+    deposit_packed_events,
     lag_operator,
     lag_operator_adjoint,
     motion_correlation,

@@ -66,9 +66,14 @@ def deposit_events_in_a_frame(rng, dtype):
 
 def lag_operator(rng, dtype):
     names = ("deposit", "deposit_idx", "direction", "lag", "taps")
-    return Case(
-        "lag_operator", dict(zip(names, cases.lag_operator(rng, dtype).inputs, strict=True)), ("deposit",)
-    )
+    arrays = dict(zip(names, cases.lag_operator(rng, dtype).inputs, strict=False))
+    return Case("lag_operator", arrays, ("deposit",))
+
+
+def lag_operator_on_a_part(rng, dtype):
+    case = lag_operator(rng, dtype)
+    case.arrays["extent"] = cases.lag_operator(rng, dtype).inputs[5]
+    return case
 
 
 def render_code(rng, dtype, parameters=6, sigma=0.0):
@@ -119,6 +124,7 @@ CASES = [
     deposit_events,
     deposit_events_in_a_frame,
     lag_operator,
+    lag_operator_on_a_part,
     render_code,
     render_code_smooth,
     render_code_tilted_smooth,
@@ -141,7 +147,7 @@ def assert_like(got, expected, dtype):
 OF_CHECKED_FUNCTIONS = {"out", "backend", "device"}
 OF_VALUES = (
     "window_ptr must go", "must not decrease", "positive scale", "_idx must be 0 to", "no out",
-    "mask must be at least",
+    "mask must be at least", "extent must be 0 to",
 )  # fmt: skip
 OF_FRAMEWORKS = ("got bool",)
 

@@ -69,7 +69,7 @@ def deposit_events(xp, x, y, t, weight, window_ptr, motion, frame=None, *, shape
     return xp.stack(images).reshape(-1, 2, *shape)
 
 
-def lag_operator(xp, deposit, deposit_idx, direction, lag, taps):
+def lag_operator(xp, deposit, deposit_idx, direction, lag, taps, extent=None):
     reach = taps.shape[1] // 2
 
     def filter_of(weights, size):
@@ -88,8 +88,9 @@ def lag_operator(xp, deposit, deposit_idx, direction, lag, taps):
             slope_x, slope_y = down.T @ image @ right_slope, down_slope.T @ image @ right
             slope = direction[n, 0] * slope_x + direction[n, 1] * slope_y
             total = total + down.T @ image @ right - lag[n, p] * slope
-        row, column = (xp.arange(size) for size in total.shape)
-        inner = [(k >= reach) & (k < len(k) - reach) for k in (row, column)]
+        own = total.shape if extent is None else extent[n]
+        cells = (xp.arange(size) for size in total.shape)
+        inner = [(k >= reach) & (k < size - reach) for k, size in zip(cells, own, strict=True)]
         images.append(total * inner[0][:, None] * inner[1][None])
     return xp.stack(images)
 

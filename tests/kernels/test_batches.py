@@ -38,7 +38,8 @@ def shared(operation):
     """Which arguments are one for all windows."""
     windows = "B" if columns_of_events(operation) else operation.outputs[-1].shape[0]
     arrays = [getattr(argument, "shape", ()) for argument in operation.arguments]
-    return [k for k, shape in enumerate(arrays) if shape and shape[0] not in (windows, "E", "B + 1")]
+    own = (windows, "B + 1", *(["E"] if columns_of_events(operation) else []))
+    return [k for k, shape in enumerate(arrays) if shape and shape[0] not in own]
 
 
 ALL = [*cases.CALLS, cases.solve_code_banded, cases.solve_code_banded_tall]

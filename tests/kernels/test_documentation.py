@@ -14,7 +14,8 @@ from evqr_kernels import OPERATIONS, backend, differentiable, interop, operation
 from .test_batches import ATOMIC
 
 SECTIONS = ("Parameters", "Attributes", "Returns", "Yields", "Raises", "See Also", "Notes")
-ARRAY = re.compile(r"\(.+\) (float \[.+\]|int32)")
+ARRAY = re.compile(r"\(.+\) (float \[.+\]|int32|uint16|uint32)")
+KINDS = {"Floats": r"float", "Ints": r"\bint32$", "Pixels": "uint16$", "Stamps": "uint32$"}
 SCALAR = {"float": re.compile(r"float \[.+\]"), "int": re.compile(r"int( \[.+\])?")}
 
 
@@ -56,9 +57,9 @@ def parameter_faults(function, doc):
         entry = resolved(name, entry)
         annotation = getattr(parameters.get(name), "annotation", "")
         wanted = SCALAR.get(annotation, re.compile("[^ ].*"))
-        if annotation.startswith(("Floats", "Ints")):
+        if annotation.startswith(tuple(KINDS)):
             wanted = ARRAY
-            if entry.kind.endswith("int32") != annotation.startswith("Ints"):
+            if not re.search(KINDS[annotation.split()[0]], entry.kind):
                 faults.append(f"{name}: wrong dtype in {entry.kind!r}")
         if not wanted.fullmatch(entry.kind) or not entry.text:
             faults.append(f"{name}: {entry.kind!r} is not all of shape, dtype and unit, or nothing is said")

@@ -101,10 +101,10 @@ def test_what_does_not_give_its_memory_away_is_refused_by_name():
 @pytest.mark.parametrize("dtype", [np.int64, np.float16, np.uint8, ">f4"])
 @pytest.mark.parametrize("wrap", [lambda array: array, lambda array: foreign(array, "interface")])
 def test_no_view_of_another_dtype(dtype, wrap):
-    with pytest.raises(TypeError, match="array must be float32, float64 or int32, got"):
+    with pytest.raises(TypeError, match="array must be float32, float64, int32, uint16 or uint32, got"):
         warp_view(wrap(np.zeros(3, dtype)))
     if dtype != ">f4":  # DLPack has the machine's byte order only
-        with pytest.raises(TypeError, match="array must be float32, float64 or int32, got"):
+        with pytest.raises(TypeError, match="array must be float32, float64, int32, uint16 or uint32, got"):
             warp_view(foreign(np.zeros(3, dtype), "dlpack"))
 
 

@@ -103,8 +103,27 @@ def test_a_lag_is_undone():
 def test_any_size(width, height, placed, spec, dtype, rng):
     call = cases.lag_operator(rng, dtype)
     call.inputs[0] = rng.normal(size=(cases.B, 2, height, width)).astype(dtype)
+    call.inputs[5][:] = [(height, width), (height - 1, width // 2), (height, max(width - 17, 0))]
     call.outputs = [filled((3, 2, height, width), dtype), filled((3, height, width), dtype)]
     assert_close(*call.run(placed), *call.run(spec))
+
+
+@pytest.mark.parametrize("width", [20, 21, 30, 37, 53, 54])
+def test_an_extent_is_as_an_image_of_that_size(width, placed, dtype, rng):
+    """To the bit, whatever the deposit holds beyond; the rest of the image is 0."""
+    call, height = cases.lag_operator(rng, dtype), 17
+    deposit = rng.normal(size=(cases.B, 2, height + 6, 54)).astype(dtype)
+    own = np.s_[..., :height, :width]
+    call.inputs[0], call.inputs[5] = deposit[own].copy(), np.full((3, 2), (height, width), np.int32)
+    call.outputs = [filled((3, 2, height, width), dtype), filled((3, height, width), dtype)]
+    (alone,) = call.run(placed)
+    call.inputs[0] = filled(deposit.shape, dtype)
+    call.inputs[0][own] = deposit[own]
+    call.outputs = [filled((3, *deposit.shape[1:]), dtype), filled((3, *deposit.shape[2:]), dtype)]
+    (image,) = call.run(placed)
+    np.testing.assert_array_equal(image[own], alone)
+    image[own] = 0
+    assert not image.any()
 
 
 @pytest.mark.parametrize("shape", [(1, 1), (1, 9), (9, 1), (2, 2)])
@@ -138,6 +157,7 @@ def test_operator_on_one_deposit_after_another(placed, dtype, rng):
     for n in range(3):
         alone = cases.lag_operator(rng, dtype)
         alone.inputs = [call.inputs[0], *(array[n : n + 1] for array in call.inputs[1:4]), call.inputs[4]]
+        alone.inputs.append(call.inputs[5][n : n + 1])
         alone.outputs = [output[n : n + 1] for output in call.outputs]
         assert_close(
             alone.run(placed)[0], together[n : n + 1], tolerance=1e-15 if placed.device == "cpu" else None
@@ -158,8 +178,9 @@ def test_operator_is_linear_in_the_deposit(placed, dtype, rng):
 def test_without_lag_the_operator_is_the_blur(placed, dtype, rng):
     call = cases.lag_operator(rng, dtype)
     call.inputs[3][:] = 0
+    call.inputs[5][:] = cases.Y, cases.X
     (image,) = call.run(placed)
-    deposit, deposit_idx, _, _, taps = call.inputs
+    deposit, deposit_idx, _, _, taps, _ = call.inputs
     windows = np.lib.stride_tricks.sliding_window_view(deposit.sum(axis=1)[deposit_idx], (5, 5), axis=(1, 2))
     blurred = np.einsum("nyxji,j,i->nyx", windows, taps[0], taps[0])
     assert_close(image[:, 2:-2, 2:-2], blurred)

@@ -50,6 +50,7 @@ def test_operator_in_the_deposit(height, width, placed, dtype, rng):
     """Taps without symmetry, two images of one deposit, one deposit of no image; the border counts too."""
     call, back = cases.lag_operator(rng, dtype), cases.lag_operator_adjoint(rng, dtype)
     call.inputs[0] = rng.normal(size=(cases.B, 2, height, width)).astype(dtype)
+    call.inputs[-1] = np.array([[height, width], [max(height - 4, 0), 5], [height, width - 1]], np.int32)
     call.outputs = [filled((3, 2, height, width), dtype), filled((3, height, width), dtype)]
     adj_image = rng.normal(size=(3, height, width)).astype(dtype)
     back.inputs = [*call.inputs[1:], adj_image]
@@ -61,7 +62,8 @@ def test_operator_in_the_deposit(height, width, placed, dtype, rng):
 
 def test_images_narrower_than_a_block(placed, spec, dtype, rng):
     back = cases.lag_operator_adjoint(rng, dtype)
-    back.inputs[4] = back.inputs[4][:, :, :9].copy()
+    back.inputs[-2] = np.array([[cases.Y, 9], [6, 8], [7, 4]], np.int32)
+    back.inputs[-1] = back.inputs[-1][:, :, :9].copy()
     back.outputs = [output[..., :9].copy() for output in back.outputs]
     assert_close(back.run(placed)[0], back.run(spec)[0])
 
@@ -69,10 +71,26 @@ def test_images_narrower_than_a_block(placed, spec, dtype, rng):
 @pytest.mark.parametrize("height", [1, 4])
 def test_images_that_are_all_border(height, placed, dtype, rng):
     back = cases.lag_operator_adjoint(rng, dtype)
-    back.inputs[4] = back.inputs[4][:, :height].copy()
+    back.inputs[-2][:, 0] = height
+    back.inputs[-1] = back.inputs[-1][:, :height].copy()
     back.outputs = [output[:, :, :height].copy() for output in back.outputs]
     np.testing.assert_array_equal(back.run(placed)[0], 0)
     back = cases.lag_operator_adjoint(rng, dtype)
-    back.inputs[4] = back.inputs[4][:, :, :height].copy()
+    back.inputs[-2][:, 1] = height
+    back.inputs[-1] = back.inputs[-1][:, :, :height].copy()
     back.outputs = [output[..., :height].copy() for output in back.outputs]
     np.testing.assert_array_equal(back.run(placed)[0], 0)
+
+
+def test_cells_beyond_the_extent_have_no_gradient(placed, dtype, rng):
+    """Whatever the images' adjoints hold there; all others have that of images of that size."""
+    back = cases.lag_operator_adjoint(rng, dtype)
+    back.inputs[0][:] = [0, 1, 2]
+    height, width = 17, 22
+    back.inputs[-2][:] = height, width
+    back.inputs[-1][:, height:] = back.inputs[-1][..., width:] = np.nan
+    (adj_deposit,) = back.run(placed)
+    assert not adj_deposit[..., height:, :].any() and not adj_deposit[..., width:].any()
+    back.inputs[-1] = back.inputs[-1][:, :height, :width].copy()
+    back.outputs = [filled((3, 2, height, width), dtype), filled((cases.B, 2, height, width), dtype)]
+    assert_close(back.run(placed)[0], np.ascontiguousarray(adj_deposit[..., :height, :width]))

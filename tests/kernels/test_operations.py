@@ -58,7 +58,9 @@ def test_documented_shapes_are_those_of_the_table(op):
             continue
         shape = ", ".join(map(str, array.shape)) + "," * (len(array.shape) == 1)
         kind = resolved(array.name, documented[array.name]).kind
-        assert kind.startswith(f"({shape}) {'int32' if array.integer else 'float'}"), array.name
+        assert kind.startswith(f"({shape}) {array.integers.__name__ if array.integer else 'float'}"), (
+            array.name
+        )
 
 
 @pytest.mark.parametrize(

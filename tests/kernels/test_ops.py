@@ -17,7 +17,9 @@ def f32(*shape):
 
 
 PTR = np.array([0, 4, E], np.int32)
+RANGES = np.array([[0, 4], [2, E]], np.int32)
 SPANS = np.array([[0, 5]] * 5, np.int32)
+PACKED = np.zeros(E, np.uint16), np.zeros(E, np.uint16), np.arange(E, dtype=np.uint32)
 TABLE = np.eye(20, 4, dtype=np.float32)
 TERMS = np.zeros((8, 4), np.int32), np.full((8, 4), 3, np.int32)
 
@@ -26,6 +28,8 @@ GOOD = {
     "splat_events": ([f32(E), f32(E), f32(E), f32(E), PTR, f32(B, 2)], {"shape": (Y, X)}),
     "splat_events_adjoint": ([f32(E), f32(E), f32(E), f32(E), PTR, f32(B, 2), f32(B, Y, X)], {}),
     "deposit_events": ([f32(E), f32(E), f32(E), f32(E), PTR, f32(B, 2)], {"shape": (Y, X)}),
+    "bin_packed_events": ([*PACKED, RANGES], {"shape": (Y, X)}),
+    "deposit_packed_events": ([*PACKED, RANGES, np.zeros(B, np.int32), f32(B, 2)], {"shape": (Y, X)}),
     "lag_operator": ([f32(B, 2, Y, 21), np.zeros(3, np.int32), f32(3, 2), f32(3, 2), f32(2, 5)], {}),
     "deposit_events_adjoint": (
         [f32(E), f32(E), f32(E), f32(E), PTR, f32(B, 2), f32(B, 2, Y, X) + 1],
@@ -268,6 +272,30 @@ BAD = [
     ("lag_operator", {"arg4": f32(2, 4)}, ValueError, "with K odd and at least 3, got (2, 4)"),
     ("lag_operator", {"arg4": f32(2, 1)}, ValueError, "with K odd and at least 3, got (2, 1)"),
     ("lag_operator", {"arg0": f32(0, 2, Y, 21)}, ValueError, "deposit_idx must have shape (0,)"),
+    ("lag_operator", {"extent": np.zeros((2, 2), np.int32)}, ValueError, "extent must have shape (N, 2)"),
+    (
+        "lag_operator",
+        {"extent": np.full((3, 2), 10, np.int32)},
+        ValueError,
+        "extent must be 0 to (9, 21), got 10 to 10 for 9",
+    ),
+    (
+        "bin_packed_events",
+        {"arg0": np.zeros(E, np.int32)},
+        TypeError,
+        "x must be uint16, got int32",
+    ),
+    ("bin_packed_events", {"arg3": RANGES + 1}, ValueError, "window_ptr must be 0 to 10, got 1 to 11"),
+    ("bin_packed_events", {"arg3": RANGES[:, ::-1].copy()}, ValueError, "must not end before it begins"),
+    ("bin_packed_events", {"arg3": PTR}, ValueError, "window_ptr must have shape (B, 2), got (3,)"),
+    (
+        "bin_packed_events",
+        {"shape": None},
+        TypeError,
+        "shape of the image must be given when there is no out",
+    ),
+    ("deposit_packed_events", {"arg4": f32(B)}, TypeError, "t_ref must be int32, got float32"),
+    ("deposit_packed_events", {"frame": f32(B, 3)}, ValueError, "frame must have a positive scale, got 0.0"),
     ("lag_operator", {"arg1": PTR}, ValueError, "deposit_idx must be 0 to 1, got 0 to 10"),
     (
         "deposit_events_adjoint",
