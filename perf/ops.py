@@ -156,10 +156,9 @@ def motion_correlation(size: Size, rng, dtype, radius: int = 12) -> Problem:
 
 
 def surface_peak(size: Size, rng, dtype, side: int = 25) -> Problem:
-    steps = np.subtract.outer(np.arange(side), np.arange(side))
-    smoother = np.exp(-0.5 * (steps / 1.5) ** 2).astype(dtype)
+    half = 3.5
     surface = rng.normal(size=(size.batch, side, side)).astype(dtype)
-    return problem("surface_peak", [surface, smoother], surface.size, 2 * surface.size * side)
+    return problem("surface_peak", [surface, half], surface.size, round(4 * surface.size * half))
 
 
 def clip_outliers(size: Size, rng, dtype) -> Problem:

@@ -29,6 +29,9 @@ MOST_PROBES, LONGER = 4, 4
 LEAST_TRAVEL_PX = 1.0
 """Travel in such a window that tells a speed [px]."""
 
+LEAST_HALF = 1.5
+"""Half width of the window that blurs a correlation, at least [binned px]."""
+
 
 @dataclass(frozen=True, eq=False)
 class MotionEstimate(Value):
@@ -49,17 +52,12 @@ class MotionEstimate(Value):
     timings_ms: Mapping[str, float] = field(default_factory=dict, compare=False)
 
 
-def _smoother(size: int, sigma: float) -> NDArray[np.float32]:
-    steps = np.arange(size)[:, None] - np.arange(size)[None, :]
-    return (np.exp(-0.5 * (steps / sigma) ** 2) / (math.sqrt(2.0 * math.pi) * sigma)).astype(np.float32)
-
-
 class _Correlator:
     """Correlates the halves of windows of one size of image, over one square of shifts."""
 
     def __init__(
-        self, events: EventSlots, height: int, width: int, reduction: int, radius: int, cfg: MotionConfig,
-        workspace: Workspace,
+        self, events: EventSlots, height: int, width: int, reduction: int, radius: int, half: float,
+        cfg: MotionConfig, workspace: Workspace,
     ) -> None:  # fmt: skip
         backend, shifts = workspace.backend, 2 * radius + 1
         self._ptr = workspace.mirror((3,), np.int32)
@@ -67,15 +65,14 @@ class _Correlator:
         halves = workspace.empty(2, height, width)
         pair = halves.reshape((1, 2, height, width))
         scratch = workspace.scratch("motion_correlation", B=1, Y=height, X=width, radius=radius)
-        surface, smooth = (workspace.empty(1, shifts, shifts) for _ in range(2))
-        half_smooth = workspace.scratch("surface_peak", B=1, N=shifts)
-        smoother = workspace.put(_smoother(shifts, cfg.blur_px / reduction))
+        surface = workspace.empty(1, shifts, shifts)
+        blurred = workspace.scratch("surface_peak", B=1, N=shifts)
 
         def launch() -> None:
             backend.clear(halves)
             backend.bin_events(events.x, events.y, events.p, self._ptr.device, reduction, halves)
             backend.motion_correlation(pair, cfg.clip, radius, *scratch, surface, self._energy.device)
-            backend.surface_peak(surface, smoother, *half_smooth, smooth, self._peak.device)
+            backend.surface_peak(surface, half, *blurred, self._peak.device)
 
         self._run = backend.record(launch)
 
@@ -114,12 +111,13 @@ def estimate_motion(
     middle = window.events.first_at(window.middle_us)
     if min(middle, len(window) - middle) < cfg.fewest_events // 2:
         return Reason.TOO_FEW_EVENTS
-    radius = (reach or cfg.reach_px) + max(2, round(cfg.blur_px / reduction))
+    half = max(cfg.blur_px / reduction, LEAST_HALF)
+    radius = (reach or cfg.reach_px) + math.ceil(half)
     height, width = -(-window.height // reduction), -(-window.width // reduction)
     events = workspace.events(window, times=False)
     correlate = workspace.once(
         ("motion", events.capacity, height, width, reduction, radius, cfg),
-        lambda: _Correlator(events, height, width, reduction, radius, cfg, workspace),
+        lambda: _Correlator(events, height, width, reduction, radius, half, cfg, workspace),
     )
     shift, correlation = correlate(middle, len(window))
     if reach is None and np.abs(shift).max() >= cfg.reach_px:

@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import numpy as np
 
+from evqr_kernels.operations.images import NEWTON_STEPS, taps_beside
+
 
 def motion_correlation(
     images_inout, clip, radius, found_out, rows_out, energy_rows_out, correlation_out, energy_out
@@ -21,19 +23,36 @@ def motion_correlation(
     energy_out[:] = energy_rows_out.sum(axis=1)
 
 
-def surface_peak(surface, smoother, rows_out, smooth_out, peak_out) -> None:
-    """Blur surfaces and find their highest interior point to a fraction of a step; overwrites."""
-    rows_out[:] = smoother @ surface
-    smooth_out[:] = rows_out @ smoother.T
-    size = surface.shape[1]
-    y, x = (g.ravel() for g in np.mgrid[-1:2, -1:2])
-    fit = np.linalg.pinv(np.stack([np.ones(9), x, y, x * x, x * y, y * y], axis=1))
-    for b, smooth in enumerate(smooth_out):
-        inner = smooth[1:-1, 1:-1]
-        row, column = (int(k) + 1 for k in np.unravel_index(inner.argmax(), inner.shape))
-        c = fit @ smooth[row - 1 : row + 2, column - 1 : column + 2].ravel()
-        hessian = np.array([[2.0 * c[3], c[4]], [c[4], 2.0 * c[5]]])
-        offset = np.zeros(2)
-        if hessian[0, 0] < 0.0 and np.linalg.det(hessian) > 0.0:
-            offset = np.clip(-np.linalg.solve(hessian, c[1:3]), -1.0, 1.0)
-        peak_out[b] = column - size // 2 + offset[0], row - size // 2 + offset[1], smooth[row, column]
+def surface_peak(surface, half, filled_out, rows_out, peak_out) -> None:
+    """Blur surfaces and find their highest point to a fraction of a step; overwrites."""
+    size, middle = surface.shape[1], surface.shape[1] // 2
+    filled_out[:] = surface
+    beside = sum(surface[:, middle + j, middle + i] for j, i in ((0, -1), (0, 1), (-1, 0), (1, 0)))
+    filled_out[:, middle, middle] = np.maximum(surface[:, middle, middle], beside / 4)
+    reach = taps_beside(half)
+    inside = slice(reach, size - reach)
+    kernel = _window(np.arange(-reach, reach + 1, dtype=surface.dtype), half)[0]
+    for b, one in enumerate(filled_out):
+        rows = np.stack([one[:, k : size - 2 * reach + k] for k in range(2 * reach + 1)], axis=2) @ kernel
+        rows_out[b, :size, inside] = rows
+        smooth = np.stack([rows[k : size - 2 * reach + k] for k in range(2 * reach + 1)], axis=2) @ kernel
+        row, column = (int(k) + reach for k in np.unravel_index(smooth.argmax(), smooth.shape))
+        at, x, y, height = np.arange(size, dtype=surface.dtype), 0.0, 0.0, 0.0
+        for step in range(NEWTON_STEPS + 1):
+            (k, kx, kxx), (g, gy, gyy) = _window(at - column - x, half), _window(at - row - y, half)
+            height, slope_x, slope_y = g @ one @ k, g @ one @ kx, gy @ one @ k
+            xx, xy, yy = g @ one @ kxx, gy @ one @ kx, gyy @ one @ k
+            determinant = xx * yy - xy * xy
+            if step == NEWTON_STEPS or not (xx < 0.0 and determinant > 0.0):
+                break
+            x = np.clip(x - (yy * slope_x - xy * slope_y) / determinant, -1.0, 1.0)
+            y = np.clip(y - (xx * slope_y - xy * slope_x) / determinant, -1.0, 1.0)
+        peak_out[b] = column - middle + x, row - middle + y, height / half**2
+
+
+def _window(r, half):
+    """Give k(r) = cos^2(pi r / 2 half), and its first and second derivatives by the point that r is from."""
+    turn = np.pi / half
+    inside, angle = np.abs(r) < half, turn * r
+    cos, sin = np.cos(angle), np.sin(angle)
+    return inside * 0.5 * (1.0 + cos), inside * 0.5 * turn * sin, inside * -0.5 * turn * turn * cos

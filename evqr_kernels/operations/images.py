@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from typing import Any
 
 from numpy.typing import NDArray
@@ -20,13 +21,24 @@ from evqr_kernels.operation import (
     size,
 )
 
+NEWTON_STEPS = 4
+"""From the highest entry of a surface to the peak beside it."""
+
 SHIFTS = "2 * radius + 1"
 RESPONSE = ("B", "max(0, Y - N + 1)", "max(0, X - N + 1)")
+
+
+def taps_beside(half: float) -> int:
+    """Give how many entries a window of that half width reaches to on one side."""
+    return math.ceil(half) - 1
 
 
 def _odd_surface(arrays: Arrays, sizes: Sizes) -> None:
     if sizes["N"] < 3 or sizes["N"] % 2 == 0:
         raise ValueError(f"surface must have an odd size of at least 3, got {sizes['N']}")
+    most = (sizes["N"] + 1) // 2
+    if sizes["half"] > most:
+        raise ValueError(f"half must be at most {most} for {sizes['N']} entries, got {sizes['half']}")
 
 
 def _interior(arrays: Arrays, sizes: Sizes) -> None:
@@ -65,9 +77,9 @@ OPERATIONS = (
         file="motion",
         arguments=(
             floats("surface", "B", "N", "N"),
-            floats("smoother", "N", "N"),
-            scratch("rows_out", "B", "N", "N"),
-            overwritten("smooth_out", "B", "N", "N", returned=False),
+            setting("half", 1.0),
+            scratch("filled_out", "B", "N", "N"),
+            scratch("rows_out", "B", "N + 3", "N"),
             overwritten("peak_out", "B", 3),
         ),
         check=_odd_surface,

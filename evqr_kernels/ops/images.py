@@ -63,29 +63,28 @@ def motion_correlation(
 
 
 @checked
-def surface_peak(
-    surface: Floats, smoother: Floats, *, backend: str = "auto", device: str | None = None
-) -> Floats:
-    """Find the highest interior point of surfaces, blurred, to a fraction of a step.
+def surface_peak(surface: Floats, *, half: float, backend: str = "auto", device: str | None = None) -> Floats:
+    """Find the highest point of surfaces, blurred, to a fraction of a step.
 
     Parameters
     ----------
     surface : (B, N, N) float [any]
         N odd and at least 3.
-    smoother : (N, N) float [1]
-        Blurs along either axis.
+    half : float [steps]
+        Half width of the window that blurs, 1 to (N + 1) / 2. Of one that is whole or half a step the windows
+        around all points weigh alike.
     backend, device : str
         See `evqr_kernels.ops`.
 
     Returns
     -------
     peak : (B, 3) float [steps, steps, of surface]
-        x and y from the middle entry, and the blurred surface's value at the entry nearest to them.
+        x and y from the middle entry, and the blurred surface there.
 
     Raises
     ------
     ValueError
-        If N is even or less than 3.
+        If N is even or less than 3, or ``half`` is out of its range.
 
     See Also
     --------
@@ -93,7 +92,12 @@ def surface_peak(
 
     Notes
     -----
-    Cost: 2 N^3 multiply-adds a surface, by one thread; scratch of twice (B, N, N).
+    Points whose window hangs over the border are not looked at: what is seen of a peak on one side only would
+    move it.  A middle entry below its four neighbours is raised to their mean: a pixel that has just fired is
+    less ready to, whatever moves.
+
+    Cost: 4 N^2 ``half`` multiply-adds a surface and some 10 ``half`` sines, by one thread; scratch of
+    (B, N, N).
 
     Determinism: bit for bit.
     """

@@ -1,8 +1,10 @@
 """Displacement between two images, by correlation; the formulas are in ``warp_backend/motion.py``."""
 
+import math
 from functools import cache
 
 from evqr_kernels.operations import OPERATIONS
+from evqr_kernels.operations.images import NEWTON_STEPS, taps_beside
 from evqr_kernels.taichi_backend.language import (
     array,
     float_of,
@@ -150,9 +152,10 @@ def make_surface_peak(dtype, alone: bool):
     @ti.kernel
     def surface_peak(
         surface: array(dtype, 3),
-        smoother: array(dtype, 2),
+        half: dtype,
+        reach: ti.i32,
+        filled_out: array(dtype, 3),
         rows_out: array(dtype, 3),
-        smooth_out: array(dtype, 3),
         peak_out: array(dtype, 2),
     ):
         ti.loop_config(serialize=alone)
@@ -160,64 +163,93 @@ def make_surface_peak(dtype, alone: bool):
             if idle > 0:
                 continue
             size = surface.shape[1]
+            middle = size // 2
+            turn = dtype(math.pi) / half
             for j in range(size):
                 for i in range(size):
+                    filled_out[b, j, i] = surface[b, j, i]
+            beside = surface[b, middle, middle - 1] + surface[b, middle, middle + 1]
+            beside += surface[b, middle - 1, middle] + surface[b, middle + 1, middle]
+            filled_out[b, middle, middle] = ti.max(surface[b, middle, middle], dtype(0.25) * beside)
+
+            # three rows behind those of the surface hold the window, and its first and second derivatives
+            for k in range(2 * reach + 1):
+                rows_out[b, size, k] = dtype(0.5) + dtype(0.5) * ti.cos(turn * ti.cast(k - reach, dtype))
+            for j in range(size):
+                for i in range(reach, size - reach):
                     total = dtype(0.0)
-                    for k in range(size):
-                        total += smoother[j, k] * surface[b, k, i]
+                    for k in range(2 * reach + 1):
+                        total += rows_out[b, size, k] * filled_out[b, j, i + k - reach]
                     rows_out[b, j, i] = total
-            for j in range(size):
-                for i in range(size):
+            row = reach
+            column = reach
+            highest = dtype(0.0)
+            for j in range(reach, size - reach):
+                for i in range(reach, size - reach):
                     total = dtype(0.0)
-                    for k in range(size):
-                        total += rows_out[b, j, k] * smoother[i, k]
-                    smooth_out[b, j, i] = total
-            row = 1
-            column = 1
-            for j in range(1, size - 1):
-                for i in range(1, size - 1):
-                    if smooth_out[b, j, i] > smooth_out[b, row, column]:
+                    for k in range(2 * reach + 1):
+                        total += rows_out[b, size, k] * rows_out[b, j + k - reach, i]
+                    if total > highest or (i == reach and j == reach):
+                        highest = total
                         row = j
                         column = i
 
-            # c0 + cx x + cy y + cxx x^2 + cxy x y + cyy y^2 by least squares; its sums over the 3 x 3 are
-            # these
-            sx = dtype(0.0)
-            sy = dtype(0.0)
-            sxx = dtype(0.0)
-            sxy = dtype(0.0)
-            syy = dtype(0.0)
-            total = dtype(0.0)
-            for j in range(3):
-                for i in range(3):
-                    v = smooth_out[b, row + j - 1, column + i - 1]
-                    x = dtype(i - 1)
-                    y = dtype(j - 1)
-                    total += v
-                    sx += x * v
-                    sy += y * v
-                    sxx += x * x * v
-                    sxy += x * y * v
-                    syy += y * y * v
-            cx = sx / dtype(6.0)
-            cy = sy / dtype(6.0)
-            two_cxx = sxx - total * dtype(2.0) / dtype(3.0)
-            two_cyy = syy - total * dtype(2.0) / dtype(3.0)
-            cxy = sxy / dtype(4.0)
-            determinant = two_cxx * two_cyy - cxy * cxy
-            x_off = dtype(0.0)
-            y_off = dtype(0.0)
-            if two_cxx < dtype(0.0) and determinant > dtype(0.0):
-                x_off = clamp(-(two_cyy * cx - cxy * cy) / determinant, dtype(-1.0), dtype(1.0))
-                y_off = clamp(-(two_cxx * cy - cxy * cx) / determinant, dtype(-1.0), dtype(1.0))
-            peak_out[b, 0] = dtype(column - size // 2) + x_off
-            peak_out[b, 1] = dtype(row - size // 2) + y_off
-            peak_out[b, 2] = smooth_out[b, row, column]
+            x = dtype(0.0)
+            y = dtype(0.0)
+            height = dtype(0.0)
+            left = ti.max(column - reach - 1, 0)
+            right = ti.min(column + reach + 2, size)
+            top = ti.max(row - reach - 1, 0)
+            bottom = ti.min(row + reach + 2, size)
+            for step in range(NEWTON_STEPS + 1):
+                for i in range(left, right):
+                    r = ti.cast(i - column, dtype) - x
+                    inside = ti.select(ti.abs(r) < half, dtype(0.5), dtype(0.0))
+                    cosine = inside * ti.cos(turn * r)
+                    rows_out[b, size, i] = inside + cosine
+                    rows_out[b, size + 1, i] = inside * turn * ti.sin(turn * r)
+                    rows_out[b, size + 2, i] = -turn * turn * cosine
+                total = dtype(0.0)
+                slope_x = dtype(0.0)
+                slope_y = dtype(0.0)
+                xx = dtype(0.0)
+                xy = dtype(0.0)
+                yy = dtype(0.0)
+                for j in range(top, bottom):
+                    r = ti.cast(j - row, dtype) - y
+                    inside = ti.select(ti.abs(r) < half, dtype(0.5), dtype(0.0))
+                    cosine = inside * ti.cos(turn * r)
+                    weight = inside + cosine
+                    first = inside * turn * ti.sin(turn * r)
+                    second = -turn * turn * cosine
+                    blurred = dtype(0.0)
+                    along = dtype(0.0)
+                    bent = dtype(0.0)
+                    for i in range(left, right):
+                        value = filled_out[b, j, i]
+                        blurred += rows_out[b, size, i] * value
+                        along += rows_out[b, size + 1, i] * value
+                        bent += rows_out[b, size + 2, i] * value
+                    total += weight * blurred
+                    slope_x += weight * along
+                    slope_y += first * blurred
+                    xx += weight * bent
+                    xy += first * along
+                    yy += second * blurred
+                height = total / (half * half)
+                determinant = xx * yy - xy * xy
+                if step == NEWTON_STEPS or not (xx < dtype(0.0) and determinant > dtype(0.0)):
+                    break
+                x = clamp(x - (yy * slope_x - xy * slope_y) / determinant, dtype(-1.0), dtype(1.0))
+                y = clamp(y - (xx * slope_y - xy * slope_x) / determinant, dtype(-1.0), dtype(1.0))
+            peak_out[b, 0] = ti.cast(column - middle, dtype) + x
+            peak_out[b, 1] = ti.cast(row - middle, dtype) + y
+            peak_out[b, 2] = height
 
     return surface_peak
 
 
-def surface_peak(surface, smoother, rows_out, smooth_out, peak_out) -> None:
+def surface_peak(surface, half: float, filled_out, rows_out, peak_out) -> None:
     """Launch; overwrites."""
     kernel = make_surface_peak(float_of(surface), is_alone(surface))
-    launch(kernel, surface, smoother, rows_out, smooth_out, peak_out)
+    launch(kernel, surface, half, taps_beside(half), filled_out, rows_out, peak_out)

@@ -7,17 +7,21 @@ with both images clipped to +- clip: a pixel that fires all the time is no struc
 mostly empty, so a row of ``first`` visits only its non-zero pixels.  Each row owns its sums; a second pass
 adds the rows up, so the result does not depend on the order of the threads.
 
-``surface_peak`` finds the highest point of such a surface, blurred by a symmetric matrix S:
+``surface_peak`` finds the highest point of such a surface c, blurred by a window of half width h,
 
-    smooth = S correlation S^T
+    f(u, v) = 1 / h^2 sum_{j, i} k(i - u) k(j - v) c(j, i),      k(r) = cos^2(pi r / 2h) for |r| < h, else 0
 
-and refines its highest interior entry by the quadratic that fits its 3 x 3 neighbourhood best.
+first of whole (u, v) whose windows do not hang over the border, then between them by Newton's method.  A
+displacement's correlation is symmetric about its peak, so f, whose window is symmetric about any point, is
+highest there; a window that the border cuts off, or a parabola through three entries, would move it.
 """
 
+import math
 from functools import cache
 
 import warp as wp
 
+from evqr_kernels.operations.images import NEWTON_STEPS, taps_beside
 from evqr_kernels.warp_backend.language import launch, launch_bounds, module_of, neighbours, variant, vector
 
 
@@ -187,75 +191,106 @@ def make_surface_peak(dtype: type) -> wp.Kernel:
     @wp.kernel(module=module_of("motion", dtype))
     def surface_peak(
         surface: wp.array3d(dtype=dtype),
-        smoother: wp.array2d(dtype=dtype),
+        half: dtype,
+        reach: int,
+        filled_out: wp.array3d(dtype=dtype),
         rows_out: wp.array3d(dtype=dtype),
-        smooth_out: wp.array3d(dtype=dtype),
         peak_out: wp.array2d(dtype=dtype),
     ):
         b = wp.tid()
         size = surface.shape[1]
+        middle = size // 2
+        turn = dtype(wp.static(math.pi)) / half
         for j in range(size):
             for i in range(size):
-                rows_out[b, j, i] = dtype(0.0)
-            for k in range(size):
-                for i in range(size):
-                    rows_out[b, j, i] = rows_out[b, j, i] + smoother[j, k] * surface[b, k, i]
-        row = wp.int32(1)
-        column = wp.int32(1)
+                filled_out[b, j, i] = surface[b, j, i]
+        beside = surface[b, middle, middle - 1] + surface[b, middle, middle + 1]
+        beside += surface[b, middle - 1, middle] + surface[b, middle + 1, middle]
+        filled_out[b, middle, middle] = wp.max(surface[b, middle, middle], dtype(0.25) * beside)
+
+        # three rows behind those of the surface hold the window, and its first and second derivatives
+        for k in range(2 * reach + 1):
+            rows_out[b, size, k] = dtype(0.5) + dtype(0.5) * wp.cos(turn * dtype(k - reach))
         for j in range(size):
-            for i in range(size):
+            for i in range(reach, size - reach):
                 total = dtype(0.0)
-                for k in range(size):
-                    total += rows_out[b, j, k] * smoother[i, k]
-                smooth_out[b, j, i] = total
-        for j in range(1, size - 1):
-            for i in range(1, size - 1):
-                if smooth_out[b, j, i] > smooth_out[b, row, column]:
+                for k in range(2 * reach + 1):
+                    total += rows_out[b, size, k] * filled_out[b, j, i + k - reach]
+                rows_out[b, j, i] = total
+        row = reach
+        column = reach
+        highest = dtype(0.0)
+        for j in range(reach, size - reach):
+            for i in range(reach, size - reach):
+                total = dtype(0.0)
+                for k in range(2 * reach + 1):
+                    total += rows_out[b, size, k] * rows_out[b, j + k - reach, i]
+                if total > highest or (i == reach and j == reach):
+                    highest = total
                     row = j
                     column = i
 
-        # c0 + cx x + cy y + cxx x^2 + cxy x y + cyy y^2 by least squares; its sums over the 3 x 3 are these
-        sx = dtype(0.0)
-        sy = dtype(0.0)
-        sxx = dtype(0.0)
-        sxy = dtype(0.0)
-        syy = dtype(0.0)
-        total = dtype(0.0)
-        for j in range(3):
-            for i in range(3):
-                v = smooth_out[b, row + j - 1, column + i - 1]
-                x = dtype(i - 1)
-                y = dtype(j - 1)
-                total += v
-                sx += x * v
-                sy += y * v
-                sxx += x * x * v
-                sxy += x * y * v
-                syy += y * y * v
-        cx = sx / dtype(6.0)
-        cy = sy / dtype(6.0)
-        two_cxx = sxx - total * dtype(2.0) / dtype(3.0)
-        two_cyy = syy - total * dtype(2.0) / dtype(3.0)
-        cxy = sxy / dtype(4.0)
-        determinant = two_cxx * two_cyy - cxy * cxy
-        x_off = dtype(0.0)
-        y_off = dtype(0.0)
-        if two_cxx < dtype(0.0) and determinant > dtype(0.0):
-            x_off = wp.clamp(-(two_cyy * cx - cxy * cy) / determinant, dtype(-1.0), dtype(1.0))
-            y_off = wp.clamp(-(two_cxx * cy - cxy * cx) / determinant, dtype(-1.0), dtype(1.0))
-        peak_out[b, 0] = dtype(column - size // 2) + x_off
-        peak_out[b, 1] = dtype(row - size // 2) + y_off
-        peak_out[b, 2] = smooth_out[b, row, column]
+        x = dtype(0.0)
+        y = dtype(0.0)
+        height = dtype(0.0)
+        left = wp.max(column - reach - 1, 0)
+        right = wp.min(column + reach + 2, size)
+        top = wp.max(row - reach - 1, 0)
+        bottom = wp.min(row + reach + 2, size)
+        for step in range(NEWTON_STEPS + 1):
+            for i in range(left, right):
+                r = dtype(i - column) - x
+                inside = wp.where(wp.abs(r) < half, dtype(0.5), dtype(0.0))
+                cosine = inside * wp.cos(turn * r)
+                rows_out[b, size, i] = inside + cosine
+                rows_out[b, size + 1, i] = inside * turn * wp.sin(turn * r)
+                rows_out[b, size + 2, i] = -turn * turn * cosine
+            total = dtype(0.0)
+            slope_x = dtype(0.0)
+            slope_y = dtype(0.0)
+            xx = dtype(0.0)
+            xy = dtype(0.0)
+            yy = dtype(0.0)
+            for j in range(top, bottom):
+                r = dtype(j - row) - y
+                inside = wp.where(wp.abs(r) < half, dtype(0.5), dtype(0.0))
+                cosine = inside * wp.cos(turn * r)
+                weight = inside + cosine
+                first = inside * turn * wp.sin(turn * r)
+                second = -turn * turn * cosine
+                blurred = dtype(0.0)
+                along = dtype(0.0)
+                bent = dtype(0.0)
+                for i in range(left, right):
+                    value = filled_out[b, j, i]
+                    blurred += rows_out[b, size, i] * value
+                    along += rows_out[b, size + 1, i] * value
+                    bent += rows_out[b, size + 2, i] * value
+                total += weight * blurred
+                slope_x += weight * along
+                slope_y += first * blurred
+                xx += weight * bent
+                xy += first * along
+                yy += second * blurred
+            height = total / (half * half)
+            determinant = xx * yy - xy * xy
+            if step == NEWTON_STEPS or not (xx < dtype(0.0) and determinant > dtype(0.0)):
+                break
+            x = wp.clamp(x - (yy * slope_x - xy * slope_y) / determinant, dtype(-1.0), dtype(1.0))
+            y = wp.clamp(y - (xx * slope_y - xy * slope_x) / determinant, dtype(-1.0), dtype(1.0))
+        peak_out[b, 0] = dtype(column - middle) + x
+        peak_out[b, 1] = dtype(row - middle) + y
+        peak_out[b, 2] = height
 
     return surface_peak
 
 
-def surface_peak(surface, smoother, rows_out, smooth_out, peak_out) -> None:
+def surface_peak(surface, half: float, filled_out, rows_out, peak_out) -> None:
     """Launch; overwrites."""
     launch(
         make_surface_peak(surface.dtype),
         surface.shape[0],
-        inputs=[surface, smoother],
-        outputs=[rows_out, smooth_out, peak_out],
+        inputs=[surface, half, taps_beside(half)],
+        outputs=[filled_out, rows_out, peak_out],
         device=surface.device,
     )

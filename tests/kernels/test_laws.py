@@ -36,15 +36,29 @@ def test_a_hot_pixel_counts_as_much_as_the_clip():
     assert images[0, 0, 10, 20] == 1000.0
 
 
-@given(x=st.floats(-2.4, 2.4), y=st.floats(-2.4, 2.4))
-def test_the_vertex_of_a_paraboloid_is_found(x, y):
-    steps = np.arange(-4.0, 5.0)
-    surface = (
-        50.0 - (steps - x) ** 2 - 0.5 * (steps[:, None] - y) ** 2 - 0.3 * (steps - x) * (steps[:, None] - y)
-    )
-    peak = evqr_kernels.surface_peak(surface[None], np.eye(9))[0]
-    np.testing.assert_allclose(peak[:2], [x, y], atol=1e-9)
-    assert peak[2] == surface.max()
+@given(x=st.floats(-3.4, 3.4), y=st.floats(-3.4, 3.4), near=st.floats(-0.8, 0.0))
+def test_a_symmetric_peak_is_found_whatever_lies_on_one_side_of_it(x, y, near):
+    """Half a surface is lower, as where an edge of the other sign is near, outside the window."""
+    steps = np.arange(-7.0, 8.0)
+    distance = np.hypot(steps - x, steps[:, None] - y)
+    surface = np.exp(-0.5 * (distance / 1.2) ** 2)
+    surface[(distance > 5.0) & (steps < x)] = near
+    peak = evqr_kernels.surface_peak(surface[None], half=3.5)[0]
+    np.testing.assert_allclose(peak[:2], [x, y], atol=0.015)
+
+
+def test_a_surface_of_one_height_keeps_it():
+    peak = evqr_kernels.surface_peak(np.full((1, 9, 9), 3.0), half=2.5)[0]
+    assert peak[2] == pytest.approx(3.0)
+
+
+def test_a_dip_in_the_middle_of_a_surface_does_not_move_a_peak_beside_it():
+    """A pixel that has fired is less ready to fire again, so that its own events do not agree."""
+    steps = np.arange(-7.0, 8.0)
+    surface = np.exp(-0.5 * ((steps - 1.5) ** 2 + steps[:, None] ** 2) / 1.2**2)
+    surface[7, 7] = -1.0
+    peak = evqr_kernels.surface_peak(surface[None], half=3.5)[0]
+    np.testing.assert_allclose(peak[:2], [1.5, 0.0], atol=0.03)
 
 
 def test_outliers_are_clipped_at_a_multiple_of_the_mean_magnitude():

@@ -60,6 +60,22 @@ def test_motion_along_the_axis_of_the_code(workspace):
     assert_close(find(made.events, workspace=workspace), velocity)
 
 
+@pytest.mark.parametrize(
+    ("angle", "direction", "speed", "module"),
+    [(30.0, 10.0, 4.0, 5.0), (63.0, 200.0, 8.0, 4.5), (45.0, 320.0, 2.0, 4.0), (20.0, 20.0, 0.5, 6.0)],
+)
+def test_speeds_are_not_biased(angle, direction, speed, module, workspace):
+    """Edges of the other sign, a module away, are seen on one side of the peak alone where shifts are few."""
+    made, velocity = small(
+        angle=angle, direction=direction, speed_px_ms=speed, module_px=module, preset="clean",
+        width=240, height=240, travel_px=16.0,
+    )  # fmt: skip
+    last_us = int(made.events.t[-1]) - round(4000.0 / speed)
+    found = [find(made.events, start, workspace=workspace) for start in range(0, last_us, last_us // 12)]
+    along = [one.motion.velocity @ velocity / (velocity @ velocity) for one in found]
+    assert np.median(along) == pytest.approx(1.0, abs=0.01)
+
+
 def test_a_guess_of_the_speed_leads_to_the_same_motion(workspace):
     made, velocity = small(direction=50.0)
     for guess in (0.7, 1.0, 1.4):
