@@ -165,12 +165,21 @@ class _Axis:
 
     def __init__(self, count: int, quiet: int, sigma: float, samples_a_module: int) -> None:
         self.at = lattice(count, quiet, samples_a_module)
-        self.reach = reach = int(1.0 + PROFILE_WIDTHS * sigma)
+        self.reach = int(1.0 + PROFILE_WIDTHS * sigma)
         of_module, self.place = np.divmod(np.arange(len(self.at)), samples_a_module)
-        self.module = of_module + reach
-        within = (np.arange(samples_a_module) + 0.5) / samples_a_module
+        self.module = of_module + self.reach
+        within, self.weights = _weights(self.reach, sigma, samples_a_module)
         self.beside = self.module + np.sign(within - 0.5).astype(np.intp)[self.place]
-        self.weights = np.stack(profiles(within[:, None] - np.arange(-reach, reach + 1), sigma))
+
+
+@functools.lru_cache(maxsize=32)
+def _weights(
+    reach: int, sigma: float, samples_a_module: int
+) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """Where samples are in their module, and what they see of those beside it: `_Axis.weights`."""
+    within = (np.arange(samples_a_module) + 0.5) / samples_a_module
+    offset = within[:, None] - np.arange(-reach, reach + 1)
+    return closed(within), closed(np.stack(profiles(offset, sigma)))
 
 
 def _on_known(space: CodeSpace, down: _Axis, across: _Axis) -> NDArray[np.bool_]:

@@ -8,6 +8,7 @@ ISO/IEC 18004 are not repeated here.
 from __future__ import annotations
 
 import functools
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Literal
 
@@ -22,6 +23,12 @@ LEVELS: tuple[ErrorLevel, ...] = ("L", "M", "Q", "H")
 
 QR_FIELD = 0x11D
 """Polynomial of the codewords' field, GF(256)."""
+
+DARK_MODULE = (-8, 8)
+"""Row and column of the module beside the lower left finder pattern that is dark in all QR codes."""
+
+_EMPTY = 2
+"""segno's mark of a module to fill."""
 
 HALF_CODEWORDS = ("M1", "M3")
 """Versions whose last data codeword has four bits."""
@@ -61,27 +68,42 @@ class Roles:
 @functools.cache
 def roles_of(version: Version) -> Roles:
     """Return what the modules of a version carry."""
-    import segno  # here: it takes 60 ms to import
-    from segno import consts
+    from segno import encoder  # here: it takes 20 ms to import
 
-    micro = isinstance(version, str)
-    symbol = segno.make(
-        "0", version=version, error=levels_of(version)[0], mask=0, boost_error=False, micro=micro
-    )
-    kind = np.array(list(symbol.matrix_iter(border=0, verbose=True)))
-    if not micro:
-        # segno (1.6) counts the data module left of the upper right format bits as one of them.
-        kind[8, len(kind) - 9] = consts.TYPE_DATA_LIGHT
-    is_format = np.isin(kind, [consts.TYPE_FORMAT_LIGHT, consts.TYPE_FORMAT_DARK])
-    is_data = np.isin(kind, [consts.TYPE_DATA_LIGHT, consts.TYPE_DATA_DARK])
+    # as segno makes a symbol, but for what makes it slow: codewords, masks and which of them is the best
+    number = _segno_version(version)
+    size = encoder.calc_matrix_size(number)
+    matrix = encoder.make_matrix(size, size)
+    encoder.add_finder_patterns(matrix, size, size)
+    encoder.add_alignment_patterns(matrix, size, size)
+    encoder.add_version_info(matrix, number)
+    is_data = _array(matrix) == _EMPTY
+    _add_format(matrix, version, levels_of(version)[0], 0)  # with it comes the dark module
+    only_format = encoder.make_matrix(size, size, reserve_regions=False, add_timing=False)
+    _add_format(only_format, version, levels_of(version)[0], 0)
+    is_format = _array(only_format) != _EMPTY
+    if not isinstance(version, str):
+        is_format[DARK_MODULE] = False
     known = ~(is_format | is_data)
-    values = np.where(np.array(symbol.matrix, dtype=bool), -1, 1) * known
+    values = np.where(_array(matrix) == 1, -1, 1) * known
     return Roles(
         known=closed(known),
         values=closed(values.astype(np.int8)),
         format=closed(is_format),
         data=closed(is_data),
     )
+
+
+def _array(matrix: Sequence[bytearray]) -> NDArray[np.uint8]:
+    """Return segno's matrix as an array (r, r)."""
+    return np.frombuffer(b"".join(matrix), np.uint8).reshape(len(matrix), -1)
+
+
+def _add_format(matrix: Sequence[bytearray], version: Version, level: ErrorLevel | None, mask: int) -> None:
+    """Write format information, and the dark module of a QR code, into segno's matrix."""
+    from segno import encoder
+
+    encoder.add_format_info(matrix, _segno_version(version), _segno_level(level), mask)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -203,17 +225,15 @@ class FormatWords:
 @functools.cache
 def format_words(version: Version) -> FormatWords:
     """Return the words of format information of a version."""
-    from segno import encoder
-
     is_format = roles_of(version).format
     meaning: tuple[tuple[ErrorLevel | None, int], ...] = tuple(
         (level, mask) for level in levels_of(version) for mask in range(len(mask_signs(version)))
     )
     words = []
     for level, mask in meaning:
-        matrix = [bytearray(len(is_format)) for _ in range(len(is_format))]
-        encoder.add_format_info(matrix, _segno_version(version), _segno_level(level), mask)
-        words.append(np.where(np.array(matrix)[is_format], -1, 1))
+        matrix = [bytearray(len(is_format)) for _ in is_format]
+        _add_format(matrix, version, level, mask)
+        words.append(np.where(_array(matrix)[is_format], -1, 1))
     at = np.flatnonzero(is_format)
     return FormatWords(at=closed(at), signs=closed(np.array(words, np.float64)), meaning=meaning)
 
@@ -288,9 +308,9 @@ def _placement(version: Version) -> NDArray[np.intp]:
     from segno import encoder
 
     data = roles_of(version).data
-    empty = 2  # segno's mark of a module to fill; we let it fill in the number of the bit instead of the bit
-    matrix = np.where(data, empty, 0).tolist()
-    first = empty + 1
+    # we let segno fill in the number of the bit instead of the bit
+    matrix = np.where(data, _EMPTY, 0).tolist()
+    first = _EMPTY + 1
     encoder.add_codewords(matrix, range(first, first + np.count_nonzero(data)), _segno_version(version))
     order = np.argsort(np.array(matrix).ravel())
     return order[-np.count_nonzero(data) :]

@@ -11,9 +11,10 @@ and finds the GIL free.  A turn is no lock: who has waited too long takes it, as
 """
 
 import ctypes
+import functools
 import os
 import sys
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from typing import Any, TypeAlias
 
 import numpy as np
@@ -90,35 +91,67 @@ def replayer(steps: list[Recorded]) -> Callable[[], Any]:
     return replay
 
 
+@functools.cache
+def _structure_of(types: tuple[type, ...]) -> type[ctypes.Structure]:
+    """Give the structure of a kernel's arguments; to make a class takes longer than to fill one."""
+    fields = [(f"argument_{i}", each) for i, each in enumerate(types)]
+    return type("Arguments", (ctypes.Structure,), {"_fields_": fields})
+
+
+@functools.cache
+def _turn() -> wp.array:
+    """Give what all threads look at, for launches."""
+    return wp.array(ptr=_TURN.ctypes.data, dtype=wp.int32, shape=1, device="cpu")
+
+
+def _launch_of(count: int, table: wp.array) -> wp.Launch:
+    """Give the launch that makes the steps of a table."""
+    return wp.launch(
+        run_sequence, 1, inputs=[count, MOST_LOOKS], outputs=[table, _turn()], device="cpu", record_cmd=True
+    )
+
+
+@functools.cache
+def _no_steps() -> wp.Launch:
+    """Give a launch of no steps: sequences differ from it in their number of steps and their table alone."""
+    return _launch_of(0, wp.zeros(3, dtype=wp.uint64, device="cpu"))
+
+
+def _entry_of(launch: wp.Launch) -> int:
+    return ctypes.cast(launch.hooks.forward, ctypes.c_void_p).value
+
+
 class _Sequence:
     """Steps on the CPU as one call; keeps what the call, or a graph, has only the addresses of."""
 
     def __init__(self, steps: list[Recorded]) -> None:
         self._steps, self._arguments = steps, []
-        self._table = np.zeros((len(steps), 3), np.uint64)
-        for row, step in zip(self._table, steps, strict=True):
-            if isinstance(step, wp.Launch):
-                row[:] = self._call_of(step)
-            else:
-                row[1:] = step.ptr, step.size * wp.types.type_size_in_bytes(step.dtype)
-        self._array = wp.array(self._table.ravel(), dtype=wp.uint64, device="cpu")
-        self._turn = wp.array(ptr=_TURN.ctypes.data, dtype=wp.int32, shape=1, device="cpu")
-        self._launch = wp.launch(
-            run_sequence, 1, inputs=[len(steps), MOST_LOOKS], outputs=[self._array, self._turn], device="cpu",
-            record_cmd=True,
-        )  # fmt: skip
-        entry, *self._call = self._call_of(self._launch)
+        rows = [
+            self._call_of(_entry_of(step), step.bounds, step.params[1:])
+            if isinstance(step, wp.Launch)
+            else (0, step.ptr, step.size * wp.types.type_size_in_bytes(step.dtype))
+            for step in steps
+        ]
+        self._table = np.array(rows, np.uint64).ravel()
+        self._array = wp.array(
+            ptr=self._table.ctypes.data, dtype=wp.uint64, shape=3 * len(rows), device="cpu"
+        )
+        alike = _no_steps()
+        _, _, looks, _, turn = alike.params
+        values = type(looks)(len(steps)), type(looks)(MOST_LOOKS), self._array.__ctype__(), turn
+        entry, *self._call = self._call_of(_entry_of(alike), alike.bounds, values)
         self._entry = _ENTRY(entry)
-        self._device = self._launch.device
+        self._device = alike.device
 
-    def _call_of(self, launch: wp.Launch) -> tuple[int, int, int]:
+    def _call_of(self, entry: int, bounds: ctypes.Structure, values: Sequence[Any]) -> tuple[int, int, int]:
         """Lay a launch's arguments out in memory; the address of its kernel, its bounds and its arguments."""
-        values = launch.params[1:]  # behind the bounds
-        fields = [(f"argument_{i}", type(value)) for i, value in enumerate(values)]
-        arguments = type("Arguments", (ctypes.Structure,), {"_fields_": fields})(*values)
+        arguments = _structure_of(tuple(map(type, values)))(*values)
         self._arguments.append(arguments)
-        entry = ctypes.cast(launch.hooks.forward, ctypes.c_void_p).value
-        return entry, ctypes.addressof(launch.bounds), ctypes.addressof(arguments)
+        return entry, ctypes.addressof(bounds), ctypes.addressof(arguments)
+
+    @functools.cached_property
+    def _launch(self) -> wp.Launch:
+        return _launch_of(len(self._steps), self._array)
 
     def __call__(self) -> None:
         if self._device.is_capturing:
