@@ -1,13 +1,13 @@
 """The command line `evqr`: the product's commands and those of the paper's experiment, joined.
 
-Results go to stdout; progress, notes and errors go to stderr.  Exit status: 0 something was read, 1 nothing
-was read, 2 bad input or bad use, 130 interrupted.
+Results go to stdout; progress, notes and errors go to stderr.  Exit status: 0 something was read, or what was
+asked for is done; 1 nothing was read; 2 bad input, bad use or surroundings that fail; 3 a fault of the
+program; 130 interrupted; 141 the reader of our output left.
 """
 
 from __future__ import annotations
 
 import importlib
-import io
 import os
 import sys
 from collections.abc import Sequence
@@ -15,59 +15,51 @@ from typing import ClassVar
 
 import click
 
-from evqr.cli.options import BAD, INTERRUPTED, PIPE_CLOSED, examples
-from evqr.errors import EvqrError
+from evqr.cli.options import examples
+from evqr.cli.running import end_within_a_second_of_ctrl_c, leave_ctrl_c_to_the_thread, run_command
+
+COMPLETE = "_EVQR_COMPLETE"
+"""The environment variable by which a shell asks for completions."""
 
 
 def main(arguments: Sequence[str] | None = None) -> None:
     """Run the command line and exit with its status."""
-    sys.exit(run(arguments))
+    end_within_a_second_of_ctrl_c()
+    status = run(arguments)
+    leave_ctrl_c_to_the_thread()
+    sys.exit(status)
 
 
 def run(arguments: Sequence[str] | None = None) -> int:
     """Run the command line; return its exit status."""
-    if isinstance(sys.stdout, io.TextIOWrapper):
-        sys.stdout.reconfigure(
-            errors="backslashreplace"
-        )  # a text that the terminal cannot show is no failure
-    try:
+    given = list(sys.argv[1:] if arguments is None else arguments)
+    debug = "--debug" in given  # before a command or behind it
+
+    def command() -> int:
+        instruction = os.environ.get(COMPLETE)
+        if instruction:
+            from click.shell_completion import shell_complete
+
+            return shell_complete(evqr, {}, "evqr", COMPLETE, instruction)
         # Not click's own main, which gives a closed pipe the status that here means "nothing read".
-        with evqr.make_context("evqr", list(sys.argv[1:] if arguments is None else arguments)) as context:
-            status = evqr.invoke(context)
-        sys.stdout.flush()
-        return status
-    except click.exceptions.Exit as done:  # --help, --version
-        return done.exit_code
-    except click.UsageError as error:
-        command = error.ctx.command_path if error.ctx else "evqr"
-        return _refuse(f"{error.format_message()} (see '{command} --help')")
-    except click.ClickException as error:
-        return _refuse(error.format_message())
-    except EvqrError as error:
-        return _refuse(str(error))
-    except KeyboardInterrupt:
-        click.echo("evqr: interrupted", err=True)
-        return INTERRUPTED
-    except BrokenPipeError:
-        # The reader of our output left; Python would complain once more when it flushes stdout at exit.
-        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
-        return PIPE_CLOSED
+        words = [word for word in given if word != "--debug"]
+        with evqr.make_context("evqr", words or ["--help"]) as context:
+            context.meta["debug"] = debug
+            return evqr.invoke(context)
 
-
-def _refuse(message: str) -> int:
-    click.echo(f"evqr: {' '.join(message.split())}", err=True)
-    return BAD
+    return run_command(command, debug=debug)
 
 
 class _Commands(click.Group):
     """Commands, imported when they are first asked for."""
 
     home: ClassVar = {
-        "read": "evqr.cli.commands",
+        "read": "evqr.cli.read",
         "info": "evqr.cli.commands",
         "convert": "evqr.cli.commands",
         "simulate": "evqr.cli.commands",
         "demo": "evqr.cli.commands",
+        "doctor": "evqr.cli.doctor",
         "dataset": "evqr.paper.cli",
         "table1": "evqr.paper.cli",
     }
@@ -84,8 +76,16 @@ class _Commands(click.Group):
     cls=_Commands,
     no_args_is_help=False,
     context_settings={"help_option_names": ["-h", "--help"]},
-    epilog=examples("evqr demo", "evqr read line3.raw"),
+    epilog=examples("evqr demo", "evqr read line3.raw", "evqr doctor")
+    + "\n\n\b\nExit status:\n"
+    + "  0 something was read, or what was asked for is done; 1 nothing was read;\n"
+    + "  2 bad input, bad use or surroundings that fail; 3 a fault of evqr; 130 interrupted."
+    + "\n\n\b\nCompletion of commands and options in a shell:\n"
+    + '  eval "$(_EVQR_COMPLETE=bash_source evqr)"     (or zsh_source, fish_source)'
+    + "\n\n\b\nKernels are compiled in the first run and kept; evqr doctor says where.\n"
+    + "  WARP_CACHE_PATH names another directory for them.",
 )
+@click.option("--debug", is_flag=True, help="Show the traceback of a fault of evqr; goes with any command.")
 @click.version_option(package_name="evqr", message="evqr %(version)s")
-def evqr() -> None:
+def evqr(debug: bool) -> None:
     """Read 2-D codes from event-camera recordings."""

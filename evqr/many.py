@@ -2,14 +2,18 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterator, Mapping
 from concurrent.futures import Executor
 from functools import partial
 from os import PathLike, fsdecode
 from typing import TYPE_CHECKING, Any
 
+import numpy as np
+
 from evqr.errors import EvqrError
+from evqr.events.array import EventArray
 from evqr.reason import Reason
+from evqr.recording import Recording
 from evqr.results import ReadResult, ReadStatus
 
 if TYPE_CHECKING:
@@ -20,7 +24,7 @@ if TYPE_CHECKING:
 
 
 def read_many(
-    sources: Iterable[Any],
+    sources: Any,
     *,
     executor: Executor | None = None,
     config: ReadConfig | None = None,
@@ -34,8 +38,8 @@ def read_many(
     Parameters
     ----------
     sources : iterable
-        What `read_codes` takes: paths, event arrays, ...  They travel to the workers of ``executor``: on
-        other machines, a path must lead to the same file.
+        What `read_codes` takes: paths, event arrays, ..., or one of these alone.  They travel to the workers
+        of ``executor``: on other machines, a path must lead to the same file.
     executor : concurrent.futures.Executor, optional
         Any, Dask's ``client.get_executor()`` included; the caller closes it.  None: in this thread, one by
         one.
@@ -48,6 +52,8 @@ def read_many(
         In the order of ``sources``, each as soon as it and those before it are done.  Status ERROR, with the
         message as ``reason`` and a ``reason_code``, where a source could not be read or its worker was lost.
     """
+    if isinstance(sources, (str, PathLike, EventArray, Recording, np.ndarray, Mapping)):
+        sources = [sources]
     read = partial(
         _read_one,
         config=config,
@@ -66,7 +72,7 @@ def read_many(
             try:
                 yield job.result()
             except Exception as error:  # the worker was lost, or the source cannot travel to it
-                yield _failed(name, error)
+                yield failed(name, error)
     finally:
         for _, job in jobs:
             job.cancel()
@@ -78,10 +84,24 @@ def _read_one(source: Any, **options: Any) -> ReadResult:
     try:
         return read_codes(source, **options)
     except Exception as error:  # whatever is wrong with one source must not end the others
-        return _failed(_name(source), error)
+        return failed(_name(source), error)
 
 
-def _failed(name: str, error: Exception) -> ReadResult:
+def failed(name: str, error: Exception) -> ReadResult:
+    """Make the result of a source that could not be read.
+
+    Parameters
+    ----------
+    name : str
+        Of the source, "" for arrays.
+    error : Exception
+        Why.
+
+    Returns
+    -------
+    result : ReadResult
+        With status ERROR.
+    """
     # The messages of our own errors are complete; of any other, the kind is part of the message.
     reason = str(error) if isinstance(error, EvqrError) else f"{type(error).__name__}: {error}"
     code = error.reason if isinstance(error, EvqrError) else Reason.FAILED

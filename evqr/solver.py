@@ -12,7 +12,7 @@ from dataclasses import replace
 
 from evqr.clock import StageClock
 from evqr.config import ReadConfig, SearchPass
-from evqr.device import kernels_on
+from evqr.device import kernels_on, load
 from evqr.events.batch import EventBatch
 from evqr.events.buffer import Asking
 from evqr.events.window import Window
@@ -55,7 +55,7 @@ class Solver:
     ) -> None:
         self.config = config or ReadConfig()
         self.workspace = Workspace(kernels_on(backend, device), device)
-        self.workspace.backend.load(device, LAUNCHED)
+        load(self.workspace.backend, device, LAUNCHED)
 
     def motion_at(self, start_us: int, *, guess: Motion | None = None) -> Asking[MotionEstimate | NotFound]:
         """Estimate the motion at a time of a stream.

@@ -7,6 +7,7 @@ import os
 import sys
 import tempfile
 from collections.abc import Iterator
+from typing import IO
 
 
 @contextlib.contextmanager
@@ -14,11 +15,12 @@ def without_lines(*parts: bytes) -> Iterator[None]:
     """Hold back the lines on standard error that contain one of ``parts``; all others are passed on."""
     try:
         sys.stderr.flush()
+        caught = _file()
         kept = os.dup(2)
-    except (AttributeError, OSError):  # no standard error, as under pythonw
+    except (AttributeError, OSError):  # no standard error, as under pythonw, or no temporary files
         yield
         return
-    with tempfile.TemporaryFile() as caught:
+    with caught:
         os.dup2(caught.fileno(), 2)
         try:
             yield
@@ -29,3 +31,13 @@ def without_lines(*parts: bytes) -> Iterator[None]:
             others = b"".join(line for line in caught if not any(part in line for part in parts))
             if others:
                 os.write(2, others)
+
+
+def _file() -> IO[bytes]:
+    """Make a file that goes when it is closed, in memory where there is no place for temporary files."""
+    try:
+        return tempfile.TemporaryFile()
+    except OSError:
+        if not hasattr(os, "memfd_create"):
+            raise
+        return open(os.memfd_create("caught"), "w+b")

@@ -12,6 +12,7 @@ from collections.abc import Callable
 
 from evqr_kernels.backend import KernelBackend
 from evqr_kernels.errors import BackendUnavailable
+from evqr_kernels.extras import install_command
 
 AUTO = "warp"
 """What "auto" stands for: compiled kernels on every CPU, and on NVIDIA GPUs.  There is no silent second
@@ -24,7 +25,7 @@ _targets = {
     "warp": "evqr_kernels.warp_backend:load",
     "taichi": "evqr_kernels.taichi_backend:load",
 }
-_extras = {"warp": "evqr", "taichi": "evqr[taichi]"}
+_extras = {"warp": "", "taichi": "taichi"}
 _loaded: dict[str, KernelBackend] = {}
 _lock = threading.RLock()  # what makes a backend may ask for another
 
@@ -105,11 +106,13 @@ def _load(name: str) -> KernelBackend:
         if not callable(make):
             raise ImportError(f"{_targets[name]!r} names nothing to call", name=module)
         return make()
+    except BackendUnavailable:  # it says what is to be done
+        raise
     except ImportError as error:
         if error.name == module:
             remedy = "this version does not contain it"
         elif name in _extras:
-            remedy = f'install it with: pip install "{_extras[name]}"'
+            remedy = f"install it with: {install_command(_extras[name])}"
         else:
             remedy = f"it is registered as {_targets[name]!r}"
         raise BackendUnavailable(

@@ -34,8 +34,8 @@ def test_demo(tmp_path):
 @pytest.mark.parametrize("backend", BACKENDS)
 def test_every_backend_reads_it(backend):
     with demo_recording() as path:
-        status, out, said = evqr("read", path, "--backend", backend)
-    assert (status, out[0], said) == (0, TEXT, [])
+        status, out, said = evqr("read", path, "--backend", backend, "--text")
+    assert (status, out, said) == (0, [TEXT], [])
 
 
 def test_windows_one_by_one():

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 import sys
 import warnings
 
@@ -11,6 +12,7 @@ import sample_results
 
 from evqr.errors import MissingExtra, UsageError
 from evqr.events.array import EventArray
+from evqr_kernels.extras import install_command
 
 pytest.importorskip("matplotlib", reason="extra 'plot' is not installed")
 
@@ -165,7 +167,7 @@ def test_bad_places_are_one_line(tmp_path):
 
 def test_missing_matplotlib_names_the_extra(monkeypatch):
     monkeypatch.setitem(sys.modules, "matplotlib.figure", None)
-    with pytest.raises(MissingExtra, match=r"pip install 'evqr\[plot\]'"):
+    with pytest.raises(MissingExtra, match=re.escape(install_command("plot"))):
         picture.draw_reading(sample_results.events(), sample_results.READING)
 
 

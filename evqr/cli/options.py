@@ -5,20 +5,24 @@ from __future__ import annotations
 import functools
 import multiprocessing
 import os
+import re
+import shlex
 import signal
 import sys
 import threading
+import traceback
 from collections.abc import Callable, Iterator
 from concurrent.futures import ProcessPoolExecutor
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from typing import Any
 
 import click
 
-OK, NOTHING, BAD, INTERRUPTED, PIPE_CLOSED = 0, 1, 2, 130, 141
-"""Exit statuses: something read, nothing read, bad input or use, Ctrl-C, the reader of our output left."""
+OK, NOTHING, BAD, FAILED, INTERRUPTED, PIPE_CLOSED = 0, 1, 2, 3, 130, 141
+"""Exit statuses: something read, nothing read, bad input, use or surroundings, a fault of evqr, Ctrl-C, the
+reader of our output left."""
 
-COMPILING = "compiling kernels for this machine (first run only) ..."
+COMPILING = "compiling kernels for this machine (first run only; kept in {}) ..."
 
 
 class SizeType(click.ParamType):
@@ -77,9 +81,62 @@ class LagType(click.ParamType):
         return on, off
 
 
-def note(message: str) -> None:
-    """Say something that is no result."""
-    click.echo(f"evqr: {message}", err=True)
+def note(message: str, *, important: bool = False) -> None:
+    """Say something that is no result, on one line; where the user wants it quiet, only what is important."""
+    if not important and is_quiet():
+        return
+    with suppress(OSError):  # standard error is full or closed
+        click.echo(f"evqr: {in_options(' '.join(message.split()))}", err=True)
+
+
+def in_options(message: str) -> str:
+    """Call the parameters that a message names what they are on the command line.
+
+    >>> in_options('a.h5: sensor size unknown: pass sensor="WxH"')
+    'a.h5: sensor size unknown: pass --sensor WxH'
+    """
+
+    def option(found: re.Match[str]) -> str:
+        name, value = found[1].replace("_", "-"), found[2] or found[3] or ""
+        return f"--{name} {shlex.quote(value) if ' ' in value else value}".rstrip()
+
+    return re.sub(rf"""\b({"|".join(_OPENING)})=(?:"([^"]*)"|'([^']*)')?""", option, message)
+
+
+def be_quiet(quiet: bool) -> None:
+    """Leave out notes and progress in the command that is running."""
+    click.get_current_context().meta["quiet"] = quiet
+
+
+def is_quiet() -> bool:
+    """Whether notes and progress are left out."""
+    context = click.get_current_context(silent=True)
+    return context is not None and bool(context.meta.get("quiet"))
+
+
+def debugging() -> bool:
+    """Whether the user asked with --debug where a fault of evqr is."""
+    context = click.get_current_context(silent=True)
+    return context is not None and bool(context.meta.get("debug"))
+
+
+def show_traceback(error: BaseException) -> None:
+    """Print the traceback of a fault of evqr, where the user asked for it."""
+    if debugging():
+        click.echo("".join(traceback.format_exception(error)).rstrip(), err=True)
+
+
+def prepare(backend: str, device: str) -> None:
+    """Refuse a backend or a device that is not there; compile kernels that are not yet, and say so."""
+    from evqr.device import cache_of, kernels_failing, kernels_on, load
+    from evqr.launched import LAUNCHED
+
+    kernels = kernels_on(backend, device)
+    with kernels_failing():
+        fresh = kernels.needs_compile(device, LAUNCHED)
+    if fresh:
+        note(COMPILING.format(cache_of(kernels) or "memory"))
+        load(kernels, device, LAUNCHED)
 
 
 def examples(*lines: str) -> str:
@@ -191,7 +248,7 @@ def process_pool(jobs: int) -> Iterator[ProcessPoolExecutor | None]:
 @contextmanager
 def progress_bar(name: str) -> Iterator[Callable[[int, int | None], None] | None]:
     """Show a bar over the time of the recording, on a terminal only."""
-    if not sys.stderr.isatty():
+    if sys.stderr is None or not sys.stderr.isatty() or is_quiet():
         yield None
         return
     from tqdm import tqdm
@@ -202,5 +259,22 @@ def progress_bar(name: str) -> Iterator[Callable[[int, int | None], None] | None
         def advance(done_us: int, total_us: int | None) -> None:
             bar.total = None if total_us is None else total_us // 1000
             bar.update(done_us // 1000 - bar.n)
+
+        yield advance
+
+
+@contextmanager
+def share_bar(name: str) -> Iterator[Callable[[int, int], None] | None]:
+    """Show a bar over parts of some work that are done, on a terminal only."""
+    if sys.stderr is None or not sys.stderr.isatty() or is_quiet():
+        yield None
+        return
+    from tqdm import tqdm
+
+    with tqdm(desc=name, bar_format="{l_bar}{bar}| [{elapsed}]", leave=False) as bar:
+
+        def advance(done: int, total: int) -> None:
+            bar.total = total
+            bar.update(done - bar.n)
 
         yield advance

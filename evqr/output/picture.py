@@ -14,6 +14,7 @@ from evqr.errors import MissingExtra, UsageError
 from evqr.events.array import EventArray
 from evqr.output.records import payload_text
 from evqr.results import CodeReading
+from evqr_kernels.extras import install_command
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -153,7 +154,7 @@ def figure_class() -> type[Figure]:
     try:
         from matplotlib.figure import Figure
     except ImportError as error:
-        raise MissingExtra("drawing a picture needs matplotlib: pip install 'evqr[plot]'") from error
+        raise MissingExtra(f"drawing a picture needs matplotlib: {install_command('plot')}") from error
     return Figure
 
 

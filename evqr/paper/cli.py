@@ -247,11 +247,13 @@ def _executor(jobs: int, dask: str | None) -> Iterator[Executor | None]:
         with process_pool(jobs) as pool:
             yield pool
         return
+    from evqr_kernels.extras import install_command
+
     try:
         from distributed import Client
     except ImportError as error:
         raise MissingExtra(
-            "computing with Dask needs distributed: pip install 'evqr[distributed]'"
+            f"computing with Dask needs distributed: {install_command('distributed')}"
         ) from error
     try:
         client = Client(dask, timeout="10s")

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping, Sequence
 from typing import Any
 
 import numpy as np
@@ -11,7 +12,7 @@ from evqr.events.array import EventArray
 
 from ..errors import RecordingError
 from .columns import DEFAULT_ORDER, require_columns, require_equal_lengths, settle_order, unit_in_name
-from .declared import DeclaredSensor, DeclaredUnit
+from .declared import DeclaredSensor, DeclaredUnit, find_sensor
 from .faults import Faults
 from .options import Asked
 from .source import RawChunks, RawColumns, Source
@@ -38,10 +39,8 @@ class ArraySource(Source):
         return RawColumns(*(values[-count:] for values in self._columns))
 
 
-def open_arrays(
-    source: EventArray | NDArray[Any] | tuple[Any, Any, Any, Any], asked: Asked | None = None
-) -> Source:
-    """Wrap an `EventArray`, an array or ``(t, x, y, p)``; raises TypeError for anything else."""
+def open_arrays(source: Any, asked: Asked | None = None) -> Source:
+    """Wrap events in memory, whatever holds them; raises TypeError for what holds none."""
     asked = asked or Asked()
     if isinstance(source, EventArray):
         columns = RawColumns(source.t, source.x, source.y, source.p)
@@ -49,18 +48,53 @@ def open_arrays(
         sensor = DeclaredSensor((source.width, source.height))
         return ArraySource(columns, "EventArray", sensor=sensor, unit=unit)
     if isinstance(source, np.ndarray):
-        if source.dtype.names is None:
-            return _matrix(source, asked)
-        found = require_columns(source.dtype.names, NAME, "the structured array")
-        named = unit_in_name(found["t"])
-        unit = DeclaredUnit(named, f"column {found['t']!r} says so") if named else None
-        columns = RawColumns(*(source[found[column]] for column in "txyp"))
-        return ArraySource(columns, "structured array", unit=unit)
-    if isinstance(source, tuple) and len(source) == 4:
-        return ArraySource(RawColumns(*(np.atleast_1d(values) for values in source)), "arrays t, x, y, p")
+        if source.dtype.names is not None:
+            return _named({name: source[name] for name in source.dtype.names}, "structured array")
+        return _matrix(source, asked)
+    if isinstance(source, Mapping):
+        return _named(source, "dict")
+    if hasattr(source, "columns") and hasattr(source, "__getitem__"):  # of pandas, Polars, PyArrow
+        names = getattr(source, "column_names", source.columns)
+        return _named({str(name): source[name] for name in names}, type(source).__name__)
+    if isinstance(source, (tuple, list)):
+        if len(source) == 4 and not _are_rows(source):
+            return ArraySource(RawColumns(*(_column(values) for values in source)), "arrays t, x, y, p")
+        try:
+            return _matrix(np.asarray(source), asked)
+        except ValueError:  # rows of different lengths
+            pass
     raise TypeError(
-        f"source must be a path, EventArray, structured array or (t, x, y, p), got {type(source).__name__}"
+        "source must be a path, EventArray, array, dict or DataFrame with columns t, x, y, p, or"
+        f" (t, x, y, p), got {_kind_of(source)}"
     )
+
+
+def _named(values: Mapping[str, Any], kind: str) -> Source:
+    """Take columns by their names; what else there is may tell the sensor's size."""
+    found = require_columns(map(str, values), NAME, f"the {kind}")
+    named = unit_in_name(found["t"])
+    unit = DeclaredUnit(named, f"column {found['t']!r} says so") if named else None
+    by_name = {str(name): each for name, each in values.items()}
+    columns = RawColumns(*(_column(by_name[found[column]]) for column in "txyp"))
+    others = {name: each for name, each in by_name.items() if name not in found.values()}
+    sensor = find_sensor({name: each for name, each in others.items() if np.size(each) <= 2})
+    return ArraySource(columns, kind, unit=unit, sensor=sensor)
+
+
+def _column(values: Any) -> NDArray[Any]:
+    """Make an array of a column, whatever holds it."""
+    return np.atleast_1d(np.asarray(values))
+
+
+def _are_rows(values: Sequence[Any]) -> bool:
+    """Whether four things are four events, not four columns: as many in each say nothing."""
+    return isinstance(values, list) and all(isinstance(each, tuple) and len(each) == 4 for each in values)
+
+
+def _kind_of(source: Any) -> str:
+    if hasattr(source, "read") and not hasattr(source, "chunks"):
+        return "an open file; pass its path"
+    return type(source).__name__
 
 
 def _matrix(array: NDArray[Any], asked: Asked) -> Source:

@@ -148,11 +148,11 @@ def settle_order(
     if orders:
         possible = " or ".join(",".join(order) for order in orders)
         problem = f"could be {possible}"
-        advice = f"say which: --columns {','.join(orders[0])}"
+        advice = f'say which: columns="{",".join(orders[0])}"'
     else:
         first = ", ".join(f"{column[0]:.10g}" for column in table)
         problem = f"fits no order of t, x, y, p (first: {first})"
-        advice = "say what the columns are, for example --columns x,y,p,t"
+        advice = 'say what the columns are, for example columns="x,y,p,t"'
     raise RecordingError(f"{name}: {what} has no column names and {problem}; {advice}")
 
 
@@ -191,11 +191,11 @@ def settle_sensor(
     size = asked or (said.size if isinstance(said, DeclaredSensor) else None)
     if size is None:
         problem = said.said if isinstance(said, Unclear) else "sensor size unknown"
-        raise RecordingError(f"{name}: {problem}: pass --sensor WxH")
+        raise RecordingError(f'{name}: {problem}: pass sensor="WxH"')
     width, height = size
     if not (0 < width <= MAX_SENSOR_SIDE and 0 < height <= MAX_SENSOR_SIDE):
         raise RecordingError(
-            f"{name}: sensor size {width}x{height} is impossible; pass the right one with --sensor WxH"
+            f'{name}: sensor size {width}x{height} is impossible; pass the right one: sensor="WxH"'
         )
     if asked is None or said is None:
         return size, said.odd if isinstance(said, DeclaredSensor) else ""
@@ -290,7 +290,7 @@ class ColumnChecker:
         if values.dtype.kind != "u":
             outside |= values < 0
         problem = f"is outside the {self.width}x{self.height} sensor"
-        advice = "if that is not its size, pass --sensor WxH"
+        advice = 'if that is not its size, pass sensor="WxH"'
         return self._leave_out(outside, values, column, problem, advice).astype(np.uint16, copy=False)
 
     def _polarities(self, p: NDArray) -> NDArray[np.int8]:

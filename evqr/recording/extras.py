@@ -5,6 +5,8 @@ from __future__ import annotations
 from importlib import import_module
 from types import ModuleType
 
+from evqr_kernels.extras import install_command
+
 from ..errors import MissingExtra
 
 
@@ -15,5 +17,5 @@ def required(module: str, path: str, what: str) -> ModuleType:
     except ImportError as error:
         package = module.split(".")[0]
         raise MissingExtra(
-            f'{path}: {what} needs the package {package}: pip install "evqr[formats]" ({error})'
+            f"{path}: {what} needs the package {package}: {install_command('formats')} ({error})"
         ) from error

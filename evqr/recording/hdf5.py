@@ -9,6 +9,8 @@ from typing import Any
 import h5py
 import numpy as np
 
+from evqr_kernels.extras import install_command
+
 from ..errors import MissingExtra, RecordingError
 from .columns import require_equal_lengths, unit_in_name
 from .declared import DeclaredSensor, DeclaredUnit, Unclear, find_sensor, find_unit, first_of, plain, whole
@@ -173,7 +175,7 @@ def _require_filter(number: int, dataset: str, path: str) -> None:
         import hdf5plugin  # noqa: F401  (importing it registers its filters)
     except ImportError as error:
         raise MissingExtra(
-            f'{path}: {dataset} needs HDF5 filter {number}: pip install "evqr[formats]" ({error})'
+            f"{path}: {dataset} needs HDF5 filter {number}: {install_command('formats')} ({error})"
         ) from error
     if not h5py.h5z.filter_avail(number):
         raise RecordingError(

@@ -251,7 +251,7 @@ def _in_order(layout: Layout, asked: Asked, path: str) -> Layout:
 
 
 def _with_note(layout: Layout, asked: Asked) -> Layout:
-    remark = "--columns is not used: the columns have names" if asked.columns is not None else ""
+    remark = "columns= is not used: the columns have names" if asked.columns is not None else ""
     return replace(layout, note=remark)
 
 

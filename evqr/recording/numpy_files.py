@@ -285,8 +285,8 @@ def _table(reopen: Opener, path: str, what: str, asked: Asked) -> _Table:
     if not length:
         if len(read.shape) == 2 and not read.names:
             raise RecordingError(
-                f"{path}: {what} has shape {read.shape}, which leaves open which column is which; say so with"
-                " --columns, such as t,x,y,p,- for five, or save t, x, y, p as named columns"
+                f"{path}: {what} has shape {read.shape}, which leaves open which column is which; say so, as"
+                ' columns="t,x,y,p,-" for five of them, or save t, x, y, p as named columns'
             )
         require_columns(read.names, path, f"{what}, structured,")
     table = _Table("", length, None, asked.columns or DEFAULT_ORDER, read.stored_by_column(width))

@@ -5,6 +5,8 @@ from __future__ import annotations
 from collections.abc import Callable
 from pathlib import Path
 
+from evqr_kernels.extras import install_command
+
 from ..errors import RecordingError
 from .options import Asked
 from .source import Source, refusal
@@ -77,7 +79,7 @@ def reader_of(path: str) -> Reader:
     else:
         raise RecordingError(
             f"{path}: not an event recording (starts with {head[:16]!r}); known are HDF5, npz, npy, text,"
-            ' Prophesee RAW and DAT, and with pip install "evqr[formats]" AEDAT4 and ROS bags'
+            f" Prophesee RAW and DAT, and AEDAT4 and ROS bags with {install_command('formats')}"
         )
     return reader
 

@@ -125,7 +125,7 @@ def choose_stream(names: Sequence[str], wanted: str | None, name: str, what: str
     if wanted is None:
         if len(names) == 1:
             return names[0]
-        message = f"{name}: holds several event {what}s ({listed}); choose one of them: --stream {names[0]}"
+        message = f'{name}: holds several event {what}s ({listed}); choose one of them: stream="{names[0]}"'
         raise StreamChoice(message, tuple(names))
     if wanted in names:
         return wanted

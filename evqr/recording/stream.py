@@ -137,7 +137,7 @@ class Recording:
                 self._notes.append(f"times are taken as {asked} as asked, though {declared.reason}")
             return DeclaredUnit(asked, "as asked")
         if isinstance(declared, Unclear):
-            raise RecordingError(f"{self._source.name}: {declared.said}; pass --time-unit us|ms|s|ns")
+            raise RecordingError(f'{self._source.name}: {declared.said}; pass time_unit="us|ms|s|ns"')
         return declared or decide_time_unit(t, (self.width, self.height), self._source.name)
 
     def chunks(self) -> Iterator[EventArray]:

@@ -4,12 +4,19 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from evqr.events.array import EventArray
 
+from .opening import open_recording
+from .options import RecordingOptions
 from .stream import Recording
+from .writing import Progress
+
+if TYPE_CHECKING:
+    from typing_extensions import Unpack
 
 PEAK_BIN_US = 1_000
 
@@ -82,13 +89,19 @@ class RecordingInfo:
         return self.t_last_us - self.t_first_us
 
 
-def summarise(recording: Recording) -> RecordingInfo:
+def summarise(
+    recording: Any, *, progress: Progress | None = None, **opening: Unpack[RecordingOptions]
+) -> RecordingInfo:
     """Stream through a recording once and count.
 
     Parameters
     ----------
-    recording : Recording
-        As `open_recording` gives it.
+    recording : Recording, path or arrays
+        As `open_recording` gives it, or what it takes.
+    progress : callable, optional
+        Called with the event time done and the whole duration, None while unknown [us].
+    **opening : as for `open_recording`
+        Such as ``sensor`` and ``time_unit``, for what is not open yet.
 
     Returns
     -------
@@ -97,12 +110,22 @@ def summarise(recording: Recording) -> RecordingInfo:
 
     Raises
     ------
-    RecordingError
-        Where streaming does.
+    RecordingError, MissingExtra, UsageError
+        Where `open_recording` and streaming do.
+    TypeError
+        It is nothing that can be opened, or is open already and there is something to open it with.
     """
+    if not isinstance(recording, Recording):
+        with open_recording(recording, **opening) as opened:
+            return summarise(opened, progress=progress)
+    if opening:
+        raise TypeError(f"a Recording is open already: pass {', '.join(opening)} to open_recording")
     counts = _Counts(recording.width, recording.height)
     for chunk in recording.chunks():
         counts.add(chunk)
+        if progress is not None:
+            last = recording.t_last_us
+            progress(counts.t_last - counts.t_first, None if last is None else last - counts.t_first)
     return RecordingInfo(
         path=recording.path,
         format=recording.format,

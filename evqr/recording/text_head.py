@@ -255,8 +255,8 @@ def _columns(
     if asked.columns is not None:
         if len(asked.columns) != count:
             raise RecordingError(
-                f"{path}: --columns names {len(asked.columns)} columns, and lines have {count}; name all of"
-                " them, with - for what is not read"
+                f'{path}: columns="{",".join(asked.columns)}" names {len(asked.columns)} columns, and lines'
+                f" have {count}; name all of them, with - for what is not read"
             )
         return asked.columns, ""
     if names is not None:
@@ -265,7 +265,7 @@ def _columns(
         if len(names) != count:
             raise RecordingError(
                 f"{path}: {where} names {len(names)} columns, and lines have {count}; say what they are:"
-                f" --columns {','.join(['t', 'x', 'y', 'p', *'-' * (count - 4)])}"
+                f' columns="{",".join(["t", "x", "y", "p", *"-" * (count - 4)])}"'
             )
         found = {name: column for column, name in find_columns(names).items()}
         others = [repr(name) if name else "an index" for name in names if name not in found]
@@ -279,7 +279,7 @@ def _columns(
         return ("-", *order), f"{index}; {remark}" if remark else index
     raise RecordingError(
         f"{path}: lines have {count} columns without names; say which are t, x, y and p:"
-        f" --columns {','.join(['t', 'x', 'y', 'p', *'-' * (count - 4)])}"
+        f' columns="{",".join(["t", "x", "y", "p", *"-" * (count - 4)])}"'
     )
 
 

@@ -65,7 +65,7 @@ def decide_time_unit(t: NDArray, sensor: tuple[int, int], name: str) -> Declared
     judged = f"{rates} per pixel and second" if rates else "impossible in every unit"
     raise RecordingError(
         f"{name}: unit of the time stamps undecidable: {finding}, {t.min()} to {t.max()}, {len(t):,} events"
-        f" ({judged}); pass --time-unit us|ms|s|ns"
+        f' ({judged}); pass time_unit="us|ms|s|ns"'
     )
 
 

@@ -9,13 +9,19 @@ import os
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from pathlib import Path
+from typing import TYPE_CHECKING, Any
 
 from evqr.events.array import EventArray
 
 from ..errors import EvqrError, RecordingError, UsageError
+from .opening import open_recording
+from .options import RecordingOptions
 from .stream import Recording
 from .vendor_writers import Aedat4Writer, Evt3Writer
 from .writers import CsvWriter, Hdf5Writer, NpzWriter, TextWriter, Truth, Writer
+
+if TYPE_CHECKING:
+    from typing_extensions import Unpack
 
 Progress = Callable[[int, int | None], None]
 
@@ -47,7 +53,13 @@ def writer_of(path: str | os.PathLike[str], *, truth: bool = False) -> type[Writ
     return writers[suffix]
 
 
-def save_recording(path: str | os.PathLike[str], events: EventArray, *, truth: Truth | None = None) -> None:
+def save_recording(
+    path: str | os.PathLike[str],
+    events: Any,
+    *,
+    truth: Truth | None = None,
+    **opening: Unpack[RecordingOptions],
+) -> None:
     """Write events, so that `open_recording` gives them back exactly.
 
     Parameters
@@ -55,12 +67,14 @@ def save_recording(path: str | os.PathLike[str], events: EventArray, *, truth: T
     path : path
         .h5 or .hdf5 (``events/{t,x,y,p}``, p as {0, 1}, attributes width and height), .npz (the same names),
         .txt or .csv (a line an event), .raw (Prophesee EVT3), .aedat4 (needs the extra ``formats``).
-    events : EventArray
+    events : EventArray, or what `open_recording` takes
         What to write.
     truth : mapping
         What is true of each code, as `evqr.simulate` tells it: name of a group ("truth", "truth2", ...) to
         its fields.  Scalars become attributes of the group, arrays its datasets; in .npz all become arrays
         ``GROUP/NAME``.  Other formats have no place for it.
+    **opening : as for `open_recording`
+        Such as ``sensor`` and ``time_unit``, for events that do not say.
 
     Raises
     ------
@@ -68,7 +82,12 @@ def save_recording(path: str | os.PathLike[str], events: EventArray, *, truth: T
         When the file cannot be written.
     UsageError
         For another suffix, or a truth that the format has no place for.
+    TypeError
+        ``events`` are none.
     """
+    if not isinstance(events, EventArray):
+        with open_recording(events, **opening) as recording:
+            events = recording.read()
     with _new_file(Path(path), writer_of(path, truth=bool(truth)), events.width, events.height) as writer:
         if len(events):
             writer.write(events)

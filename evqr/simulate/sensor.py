@@ -3,17 +3,18 @@
 from __future__ import annotations
 
 import os
+from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
 
+from evqr.device import kernels_failing, kernels_on
 from evqr.events.array import EventArray
 from evqr.simulate.config import SceneConfig, SensorConfig
 from evqr.simulate.geometry import Motion
 from evqr.simulate.texture import TEXELS, Texture
-from evqr_kernels.registry import get_backend
 
 #: Travel before the recording starts, in which the pixels forget their initial state [px].
 RUN_IN_PX = 10.0
@@ -54,11 +55,11 @@ def draw_pixels(scene: SceneConfig, sensor: SensorConfig, rng: np.random.Generat
 
 def needs_compile() -> bool:
     """Whether `run_pixels` has to compile its kernel first, which takes seconds."""
-    get_backend("warp")
+    kernels_on("warp", "cpu")
     import warp as wp
 
     from evqr.simulate import pixel_kernel
-    from evqr_kernels.warp_backend import is_compiled
+    from evqr_kernels.warp_backend.cache import is_compiled
 
     return not is_compiled(wp.get_module(pixel_kernel.__name__), "cpu")
 
@@ -71,14 +72,17 @@ def run_pixels(
     background: NDArray[np.float32],
     pixel: NDArray[np.float32],
     threads: int | None = None,
+    progress: Callable[[int, int], None] | None = None,
 ) -> RawEvents:
     """Events of the pixels of `draw_pixels`, without noise, from the run-in to the end."""
+    kernels_on("warp", "cpu")  # it starts Warp, in silence
     import warp as wp
 
     from evqr.simulate import pixel_kernel
+    from evqr_kernels.warp_backend.cache import load_module
 
-    get_backend("warp")  # it starts Warp, in silence
-    wp.load_module(pixel_kernel, device="cpu")
+    with kernels_failing():
+        load_module(wp.get_module(pixel_kernel.__name__), "cpu")
     start_us = -RUN_IN_PX / motion.speed
     to_texture = np.diag([*TEXELS, 1.0])
     to_texture[:2, 2] = texture.origin
@@ -115,7 +119,12 @@ def run_pixels(
             capacity = int(count[0])
 
     with ThreadPoolExecutor(threads or min(os.cpu_count() or 1, 8)) as pool:
-        bands = list(pool.map(run_band, range(0, scene.height, BAND_ROWS)))
+        first_rows = range(0, scene.height, BAND_ROWS)
+        bands = []
+        for band in pool.map(run_band, first_rows):
+            bands.append(band)
+            if progress is not None:
+                progress(len(bands), len(first_rows))
     return RawEvents(
         t=np.concatenate([t for t, _ in bands]),
         address=np.concatenate([a for _, a in bands]).astype(np.int64),

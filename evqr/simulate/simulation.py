@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import Any
 
@@ -73,6 +73,7 @@ def simulate(
     height: int = 480,
     seed: int = 0,
     threads: int | None = None,
+    progress: Callable[[int, int], None] | None = None,
 ) -> Simulation:
     """Simulate a printed code that passes an event camera.
 
@@ -97,6 +98,8 @@ def simulate(
         Codes on the object, in place of those that the arguments above describe.
     threads : int, optional
         Number of threads; None: one a core, at most 8.  The result does not depend on it.
+    progress : callable, optional
+        Called with the parts of the image that are done, and how many there are.
 
     Returns
     -------
@@ -140,10 +143,16 @@ def simulate(
         tilt=tilt,
         seed=seed,
     )
-    return simulate_scene(scene, sensor, threads=threads)
+    return simulate_scene(scene, sensor, threads=threads, progress=progress)
 
 
-def simulate_scene(scene: SceneConfig, sensor: SensorConfig, *, threads: int | None = None) -> Simulation:
+def simulate_scene(
+    scene: SceneConfig,
+    sensor: SensorConfig,
+    *,
+    threads: int | None = None,
+    progress: Callable[[int, int], None] | None = None,
+) -> Simulation:
     """Simulate a scene in front of a sensor.
 
     Parameters
@@ -154,6 +163,8 @@ def simulate_scene(scene: SceneConfig, sensor: SensorConfig, *, threads: int | N
         The pixels that see it.
     threads : int, optional
         Number of threads; None: one a core, at most 8.  The result does not depend on it.
+    progress : callable, optional
+        Called with the parts of the image that are done, and how many there are.
 
     Returns
     -------
@@ -167,7 +178,7 @@ def simulate_scene(scene: SceneConfig, sensor: SensorConfig, *, threads: int | N
     texture = draw_object(scene, symbols, scene_rng)
     background = draw_background(scene, scene_rng)
     pixel = draw_pixels(scene, sensor, sensor_rng)
-    raw = run_pixels(scene, sensor, motion, texture, background, pixel, threads)
+    raw = run_pixels(scene, sensor, motion, texture, background, pixel, threads, progress)
     noisy = add_noise(raw, scene, sensor, motion, sensor_rng)
     events = read_out(noisy, scene, sensor, motion, sensor_rng)
     return Simulation(events=events, truth=truth_of(scene, motion, symbols), scene=scene, sensor=sensor)

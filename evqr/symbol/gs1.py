@@ -6,12 +6,13 @@ import functools
 from dataclasses import dataclass
 
 from evqr.values import Value
+from evqr_kernels.extras import install_command
 
 SEPARATOR = "\x1d"
 """Ends an element of no fixed length; FNC1 in the symbol."""
 
 NOT_INSTALLED = (
-    'the elements of GS1 codes are not told apart: that needs the package biip: pip install "evqr[gs1]"'
+    "the elements of GS1 codes are not told apart: that needs the package biip: " + install_command("gs1")
 )
 
 

@@ -37,9 +37,15 @@ def _import_taichi():
         raise ImportError(f"EVQR_TAICHI must be taichi or quadrants, got {asked!r}")
     if asked == "taichi" and not importlib.util.find_spec("taichi") and importlib.util.find_spec("quadrants"):
         asked = "quadrants"
-    # neither its greeting nor its own uses of what Python deprecates are for our users
+    # neither its greeting, nor what it says of a standard output that is not the terminal's, nor its own uses
+    # of what Python deprecates are for our users
     with (
-        environment(ENABLE_TAICHI_HEADER_PRINT="0", ENABLE_QUADRANTS_HEADER_PRINT="0"),
+        environment(
+            ENABLE_TAICHI_HEADER_PRINT="0",
+            ENABLE_QUADRANTS_HEADER_PRINT="0",
+            TI_ENABLE_PYBUF="0",
+            QD_ENABLE_PYBUF="0",
+        ),
         warnings.catch_warnings(),
     ):
         warnings.filterwarnings("ignore", category=DeprecationWarning, module=rf"{asked}\.")

@@ -4,7 +4,6 @@ A launch on the CPU is one plain loop on the calling thread with the GIL release
 as many Python threads as the caller likes (call `WarpBackend.load` before they start).
 """
 
-import os
 from collections.abc import Callable
 from typing import Any
 
@@ -15,15 +14,14 @@ from numpy.typing import DTypeLike, NDArray
 from evqr_kernels.backend import Calls, Launchers, refusal
 from evqr_kernels.call import example
 from evqr_kernels.checks import check_contiguous
-from evqr_kernels.native_output import without_lines
 from evqr_kernels.registry import require_device
-from evqr_kernels.warp_backend import replay
+from evqr_kernels.warp_backend import cache, replay
+from evqr_kernels.warp_backend.cache import is_compiled
 from evqr_kernels.warp_backend.language import clear, kernels_of, record, variant
 
 _DTYPES = {
     np.dtype(dtype.__name__): dtype for dtype in (wp.float32, wp.float64, wp.int32, wp.uint16, wp.uint32)
 }
-_NO_DRIVER = b"Could not find or load the NVIDIA CUDA driver"
 
 
 class WarpBackend(Launchers):
@@ -33,13 +31,9 @@ class WarpBackend(Launchers):
 
     def __init__(self) -> None:
         super().__init__(__name__)
-        level = wp.config.log_level
-        wp.config.log_level = wp.LOG_ERROR
-        with without_lines(_NO_DRIVER):  # a machine without a GPU is no reason for a warning
-            wp.init()
+        cache.start()
         self._cpu = wp.get_device("cpu")
         self._names = tuple(device.alias for device in wp.get_devices())
-        wp.config.log_level = max(level, wp.LOG_WARNING)  # each load of a module would be a line
 
     def devices(self) -> tuple[str, ...]:
         """Names of the devices that this machine has; "cpu" first."""
@@ -99,7 +93,11 @@ class WarpBackend(Launchers):
         """Compile or load the kernels of these calls (float32); call it before threads start."""
         require_device(self, device)
         for module in self._modules(device, calls):
-            wp.load_module(module, device=device)
+            cache.load_module(module, device)
+
+    def cache_dir(self) -> str:
+        """Where compiled kernels are kept."""
+        return cache.directory()
 
     def _modules(self, device: str, calls: Calls) -> list[wp.Module]:
         """List the Warp modules of what calls launch, recorded or not."""
@@ -107,12 +105,6 @@ class WarpBackend(Launchers):
         if kernels and device == "cpu":
             kernels.append(replay.run_sequence)
         return list(dict.fromkeys(kernel.module for kernel in kernels))
-
-
-def is_compiled(module: wp.Module, device: str) -> bool:
-    """Whether a module, as it is now, is in this machine's cache."""
-    name = module.get_module_identifier(1 if device == "cpu" else None)  # the block size is part of the hash
-    return os.path.isdir(os.path.join(str(wp.config.kernel_cache_dir), name))
 
 
 def load() -> WarpBackend:

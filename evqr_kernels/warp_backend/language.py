@@ -10,6 +10,7 @@ import warp as wp
 from evqr_kernels.checks import MOST_ELEMENTS
 from evqr_kernels.operation import Variant
 from evqr_kernels.operations import OPERATIONS
+from evqr_kernels.warp_backend.cache import load_module
 from evqr_kernels.warp_backend.replay import Recorded, replayer
 
 
@@ -28,10 +29,15 @@ def launch(kernel: wp.Kernel, dim: Any, *, inputs: list[Any], outputs: list[Any]
     if _recording.kernels is not None:
         _recording.kernels.append(kernel)
         return
+    noting = _recording.steps is not None
+    try:
+        command = wp.launch(kernel, dim, inputs=inputs, outputs=outputs, device=device, record_cmd=noting)
+    except Exception:
+        if not load_module(kernel.module, device.alias):
+            raise
+        command = wp.launch(kernel, dim, inputs=inputs, outputs=outputs, device=device, record_cmd=noting)
     if _recording.steps is None:
-        wp.launch(kernel, dim, inputs=inputs, outputs=outputs, device=device)
         return
-    command = wp.launch(kernel, dim, inputs=inputs, outputs=outputs, device=device, record_cmd=True)
     command.arrays = (inputs, outputs)  # a command has their addresses only
     _recording.steps.append(command)
 

@@ -145,11 +145,11 @@ def test_hdf5_attributes(tmp_path, unit, sensor):
 def test_what_is_unclear_is_asked_for_and_the_answer_is_taken(tmp_path):
     write(tmp_path / "a", unit="ticks", sensor="wide")
     with pytest.raises(
-        RecordingError, match=r"'wide' in geometry is no pair of whole numbers: pass --sensor WxH"
+        RecordingError, match=r"'wide' in geometry is no pair of whole numbers: pass sensor=.WxH."
     ):
         open_recording(tmp_path / "a")
     with pytest.raises(
-        RecordingError, match=r"units of /events/t is 'ticks', no known unit; pass --time-unit"
+        RecordingError, match=r"units of /events/t is 'ticks', no known unit; pass time_unit=.us"
     ):
         open_recording(tmp_path / "a", sensor=(WIDTH, HEIGHT))
     with open_recording(tmp_path / "a", sensor="64x48", time_unit="us") as recording:

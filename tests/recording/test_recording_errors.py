@@ -11,6 +11,7 @@ from recording_files import HEIGHT, WIDTH, WRITERS, make_events, write_h5, write
 import evqr.recording.recognise
 from evqr.errors import MissingExtra, RecordingError, UsageError
 from evqr.recording import open_recording
+from evqr_kernels.extras import install_command
 
 SENSOR = (WIDTH, HEIGHT)
 
@@ -168,7 +169,7 @@ def test_hdf5_filters_that_are_not_there(tmp_path, events, monkeypatch):
     write_h5(tmp_path / "a", events)
     monkeypatch.setattr(h5py.h5z, "filter_avail", lambda number: False)
     monkeypatch.setitem(sys.modules, "hdf5plugin", None)
-    assert 'pip install "evqr[formats]"' in error_of(tmp_path / "a")
+    assert install_command("formats") in error_of(tmp_path / "a")
 
 
 def test_pickles_are_never_loaded(tmp_path):
@@ -272,7 +273,7 @@ def test_offset_must_not_make_times_negative(tmp_path):
 
 def test_sensor_size(tmp_path, events):
     np.savez(tmp_path / "a.npz", t=events.t, x=events.x, y=events.y, p=events.p)
-    assert "sensor size unknown: pass --sensor WxH" in error_of(tmp_path / "a.npz")
+    assert 'sensor size unknown: pass sensor="WxH"' in error_of(tmp_path / "a.npz")
     assert "sensor size unknown" in error_of(arrays())
     assert "sensor size 0x48 is impossible" in error_of(arrays(), sensor=(0, 48))
     with h5py.File(tmp_path / "a.h5", "w") as file:

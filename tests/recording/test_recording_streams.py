@@ -183,7 +183,7 @@ def test_two_topics_and_a_node_that_was_restarted(tmp_path, kind):
     else:
         connections[0] = ("/left", own, DVS, first + second)
     path = bag(tmp_path / "a", kind, connections)
-    with pytest.raises(StreamChoice, match=r"topics \(/left, /right\); choose one of them: --stream /left"):
+    with pytest.raises(StreamChoice, match=r"topics \(/left, /right\); choose one of them: stream=./left."):
         read(path)
     got, recording = read(path, stream="/left")
     assert_same_events(got, EVENTS)
@@ -305,7 +305,7 @@ def test_npz_with_several_arrays(tmp_path):
 
 def test_a_stream_of_a_format_that_has_but_one(tmp_path, events):
     (tmp_path / "a").write_bytes(raw(events, "2.0"))
-    with pytest.raises(RecordingError, match="holds one stream; leave out --stream"):
+    with pytest.raises(RecordingError, match="holds one stream; leave out stream="):
         read(tmp_path / "a", stream="left")
 
 

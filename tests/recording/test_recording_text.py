@@ -169,7 +169,7 @@ def test_values_leave_one_order(seed, order, signed, seconds):
 
 
 def test_orders_that_values_leave_open(tmp_path):
-    with pytest.raises(RecordingError, match=r"fits no order of t, x, y, p .*--columns x,y,p,t"):
+    with pytest.raises(RecordingError, match=r"fits no order of t, x, y, p .*columns=.x,y,p,t."):
         read(
             tmp_path / "a", "".join(f"{i * 37 % 50} {i * 17 % 50} {i * 7 % 50} {i % 3}\n" for i in range(90))
         )
@@ -177,10 +177,10 @@ def test_orders_that_values_leave_open(tmp_path):
     got, recording = read(tmp_path / "a", text, columns="x,y,p,t")
     assert_same_events(got, EVENTS)
     assert recording.notes == ()
-    with pytest.raises(RecordingError, match=r"5 columns without names; say which .*--columns t,x,y,p,-"):
+    with pytest.raises(RecordingError, match=r"5 columns without names; say which .*columns=.t,x,y,p,-."):
         read(tmp_path / "a", rows(EVENTS, "9 {x} {y} {p} {t}"))
     assert_same_events(read(tmp_path / "a", rows(EVENTS, "9 {x} {y} {p} {t}"), columns="-xypt")[0], EVENTS)
-    with pytest.raises(RecordingError, match="--columns names 4 columns, and lines have 5"):
+    with pytest.raises(RecordingError, match=r"columns=.x,y,p,t. names 4 columns, and lines have 5"):
         read(tmp_path / "a", rows(EVENTS, "9 {x} {y} {p} {t}"), columns="xypt")
 
 

@@ -60,7 +60,7 @@ def test_decided(t, unit, reason):
 )
 def test_undecidable(t):
     with pytest.raises(
-        RecordingError, match=r"^name: unit .* undecidable: .*; pass --time-unit us\|ms\|s\|ns$"
+        RecordingError, match=r'^name: unit .* undecidable: .*; pass time_unit="us\|ms\|s\|ns"$'
     ):
         decide_time_unit(t, SENSOR, "name")
 

@@ -1,5 +1,6 @@
 """Vendor formats (extra ``formats``): written by eventcv, read by evqr, whatever the file is called."""
 
+import re
 import struct
 import sys
 
@@ -11,6 +12,7 @@ from vendor_files import FORMATS, write
 from evqr.errors import MissingExtra, RecordingError
 from evqr.events.array import EventArray
 from evqr.recording import open_recording
+from evqr_kernels.extras import install_command
 
 pytest.importorskip("eventcv")
 
@@ -65,7 +67,7 @@ def test_missing_package(tmp_path, kind, events, monkeypatch):
     for module in ("aedat", "evt3", "rosbags.rosbag1"):
         monkeypatch.setitem(sys.modules, module, None)
     with pytest.raises(
-        MissingExtra, match=rf'needs the package {FORMATS[kind][3]}: pip install "evqr\[formats\]"'
+        MissingExtra, match=rf"needs the package {FORMATS[kind][3]}: {re.escape(install_command('formats'))}"
     ):
         open_recording(tmp_path / "a")
 
@@ -86,7 +88,7 @@ def test_headers(tmp_path, events):
     ):
         assert_same_events(header(good), events)
     for bad, message in (
-        (b"% evt 3.0\n% end\n", "sensor size unknown: pass --sensor WxH"),
+        (b"% evt 3.0\n% end\n", 'sensor size unknown: pass sensor="WxH"'),
         (b"% evt 3.0\n% geometry wide\n% end\n", "header says the sensor is 'wide', no WxH"),
         (b"% format HISTO3D;width=64;height=48\n% end\n", "encoding HISTO3D is not supported"),
         (b"% geometry 64x48\n% end\n", "encoding unknown is not supported"),
@@ -129,7 +131,7 @@ def test_bag_with_evt3_packets(tmp_path, events):
     ):
         open_recording(bag("libcaer.bag", b"libcaer_cmp"))
     with pytest.raises(
-        RecordingError, match=r"several event topics \(/left, /right\); choose one of them: --stream /left"
+        RecordingError, match=r"several event topics \(/left, /right\); choose one of them: stream=./left."
     ):
         open_recording(bag("two.bag", b"evt3", ("/left", "/right")))
 

@@ -156,5 +156,5 @@ def test_raw_events_hdf5():
 
 
 def test_raw_events_hdf5_needs_its_sensor_size():
-    with pytest.raises(RecordingError, match="sensor size unknown: pass --sensor WxH"):
+    with pytest.raises(RecordingError, match=r"sensor size unknown: pass sensor=.WxH."):
         open_recording(FOLDER / RAW_EVENTS)

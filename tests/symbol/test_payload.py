@@ -131,7 +131,7 @@ def test_gs1_that_does_not_parse_is_told_raw():
 def test_gs1_without_the_extra_says_how_to_get_elements(monkeypatch):
     elements_of.cache_clear()
     monkeypatch.setitem(sys.modules, "biip", None)
-    assert elements_of("0109506000134352") == ((), NOT_INSTALLED) and "evqr[gs1]" in NOT_INSTALLED
+    assert elements_of("0109506000134352") == ((), NOT_INSTALLED) and "[gs1]" in NOT_INSTALLED
     elements_of.cache_clear()
 
 

@@ -1,0 +1,219 @@
+"""The command `evqr read`."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import click
+
+from evqr.cli import options
+from evqr.cli.options import BAD, FAILED, NOTHING, OK, LagType, backend_options, recording_options
+from evqr.cli.sink import Form, Sink
+from evqr.cli.sources import Named, recordings_of
+from evqr.errors import EvqrError, UsageError
+from evqr.reason import Reason
+from evqr.results import ReadResult, ReadStatus
+
+if TYPE_CHECKING:
+    from evqr.cli.pictures import Pictures
+    from evqr.config import ReadConfig
+    from evqr.recording import RecordingOptions
+
+
+@click.command(
+    epilog=options.examples(
+        "evqr read line3.raw",
+        "evqr read line3.h5 --json --picture line3.png",
+        "evqr read shift1/ 'shift2/*.raw' --jobs 4 --text --output texts.txt",
+        "evqr read line3.h5 --each-window --max-windows 10",
+        "ssh camera cat line3.raw | evqr read - --json",
+    )
+)
+@click.argument("sources", nargs=-1, required=True, metavar="RECORDING...", type=click.Path())
+@click.option("--json", "as_json", is_flag=True, help="One JSON object a line, and nothing else there.")
+@click.option("--text", "as_text", is_flag=True, help="One text a line, and nothing else there.")
+@click.option(
+    "--output",
+    type=click.Path(path_type=Path, dir_okay=False),
+    metavar="FILE",
+    help="Write results to this file instead of to standard output.",
+)
+@click.option("--quiet", is_flag=True, help="No notes, warnings and progress; errors are told.")
+@recording_options
+@click.option(
+    "--window-us",
+    type=click.IntRange(min=1),
+    metavar="N",
+    help="Length of a window; default: about 2 px of motion.",
+)
+@click.option("--max-windows", type=click.IntRange(min=1), metavar="N", help="Take at most so many windows.")
+@click.option("--each-window", is_flag=True, help="Read windows one by one, each from cold, a line each.")
+@click.option(
+    "--vote",
+    type=click.Choice(["mode", "soft", "information"]),
+    help="How windows are combined; default: information.",
+)
+@click.option(
+    "--lag-us",
+    type=LagType(),
+    metavar="ON,OFF",
+    help="Lags of the pixels, in microseconds; default: estimated.",
+)
+@click.option(
+    "--charset",
+    metavar="NAME",
+    help="Character set of codes that do not name theirs, as utf-8 or shift_jis; default: guessed.",
+)
+@backend_options
+@click.option("--jobs", type=click.IntRange(min=1), default=1, metavar="N", help="Recordings read at a time.")
+@click.option(
+    "--picture",
+    type=click.Path(path_type=Path),
+    metavar="FILE|DIR",
+    help="Draw the first reading, or what there is instead, to a .png, .svg or .pdf file; all to a folder.",
+)
+def read(
+    sources: tuple[str, ...],
+    as_json: bool,
+    as_text: bool,
+    output: Path | None,
+    quiet: bool,
+    opening: RecordingOptions,
+    window_us: int | None,
+    max_windows: int | None,
+    each_window: bool,
+    vote: str | None,
+    lag_us: tuple[float, float] | None,
+    charset: str | None,
+    backend: str,
+    device: str,
+    threads: int | None,
+    jobs: int,
+    picture: Path | None,
+) -> int:
+    """Read every code that passes, each once.
+
+    RECORDING is a file, a folder (the recordings in it), a pattern in quotes, or - for standard input.
+
+    Exit status: 0 when something was read, 1 when nothing was read, 2 when any recording could not be used, 3
+    when evqr itself failed.
+    """
+    options.be_quiet(quiet)
+    if as_json and as_text:
+        raise UsageError("--json and --text are two forms of the same: leave out one")
+    if each_window and picture:
+        raise UsageError("--picture draws a reading of the whole recording: leave out --each-window")
+    if each_window and jobs > 1:
+        raise UsageError("--jobs reads whole recordings at a time: leave out --each-window")
+    form: Form = "json" if as_json else "text" if as_text else "report"
+    config = _read_config(charset, window_us=window_us, max_windows=max_windows, lag_us=lag_us, vote=vote)
+    compute = {"config": config, "backend": backend, "device": device, "threads": threads}
+    with recordings_of(sources) as recordings, Sink(form, _other_file(output, recordings)) as sink:
+        try:
+            pictures = _pictures(picture, recordings)
+            options.prepare(backend, device)
+        except EvqrError as error:
+            sink.error(None, error)
+            raise
+        if each_window:
+            return _exit_status([_each_window(named, sink, {**compute, **opening}) for named in recordings])
+        results = []
+        for named, result in _results(recordings, jobs, {**compute, **opening}):
+            sink.result(named, result)
+            results.append(result)
+            if pictures is not None:
+                pictures.draw(named, result, opening=opening, compute=compute)
+    return _exit_status(results)
+
+
+def _read_config(charset: str | None, **given: Any) -> ReadConfig:
+    from evqr.config import DecodeConfig, ReadConfig
+
+    try:
+        given["decode"] = DecodeConfig(charset=charset)
+        return ReadConfig(**{name: value for name, value in given.items() if value is not None})
+    except (TypeError, ValueError) as error:
+        raise UsageError(str(error)) from error
+
+
+def _other_file(output: Path | None, recordings: Sequence[Named]) -> Path | None:
+    """Refuse to write results over a recording."""
+    for named in recordings:
+        if output is not None and output.exists() and named.path.exists() and output.samefile(named.path):
+            raise UsageError(f"{output}: is a recording to be read; name another file for the results")
+    return output
+
+
+def _pictures(picture: Path | None, recordings: Sequence[Named]) -> Pictures | None:
+    if picture is None:
+        return None
+    from evqr.cli.pictures import Pictures
+
+    return Pictures(picture, recordings)
+
+
+def _results(
+    recordings: Sequence[Named], jobs: int, given: dict[str, Any]
+) -> Iterator[tuple[Named, ReadResult]]:
+    """Read recordings, one after another or several at a time; what cannot be read is a result, too."""
+    if jobs == 1:
+        for named in recordings:
+            with options.progress_bar(named.name) as progress:
+                result = _read_one(named, {**given, "progress": progress})
+            yield named, result
+        return
+    from tqdm import tqdm
+
+    from evqr.many import read_many
+
+    with options.process_pool(jobs) as pool:
+        read = read_many([named.path for named in recordings], executor=pool, **given)
+        # disable=None: no bar where stderr is no terminal
+        shown = tqdm(recordings, unit=" recording", leave=False, disable=True if options.is_quiet() else None)
+        for named, result in zip(shown, read, strict=True):
+            with tqdm.external_write_mode():
+                yield named, result
+
+
+def _read_one(named: Named, given: dict[str, Any]) -> ReadResult:
+    from evqr.many import failed
+    from evqr.offline import read_codes
+
+    try:
+        return read_codes(named.path, **given)
+    except EvqrError as error:
+        return failed(str(named.path), error)
+    except Exception as error:  # whatever is wrong with one recording must not end the others
+        options.show_traceback(error)
+        return failed(str(named.path), error)
+
+
+def _each_window(named: Named, sink: Sink, given: dict[str, Any]) -> ReadResult:
+    """Read windows one by one, and say what they come to."""
+    from evqr.many import failed
+    from evqr.offline import read_windows
+
+    status, warnings = ReadStatus.NO_READ, ()
+    try:
+        for window in read_windows(named.path, **given):
+            sink.window(named, window)
+            warnings = window.warnings
+            if window.status is ReadStatus.READ:
+                status = ReadStatus.READ
+    except EvqrError as error:
+        result = failed(str(named.path), error)
+        sink.result(named, result)
+        return result
+    sink.warn(named, warnings)
+    return ReadResult(status, warnings=warnings)
+
+
+def _exit_status(results: Sequence[ReadResult]) -> int:
+    if any(result.reason_code is Reason.FAILED for result in results):
+        return FAILED
+    statuses = [result.status for result in results]
+    if ReadStatus.ERROR in statuses:
+        return BAD
+    return OK if ReadStatus.READ in statuses else NOTHING
