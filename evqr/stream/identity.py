@@ -25,7 +25,7 @@ from evqr.geometry import at_centre
 LEAST_MODULES = 1.5
 """How far off a code may be, however short the time: poses of single windows differ by so much [modules]."""
 
-LEAST_TURN = math.radians(10.0)
+LEAST_TURN = math.radians(20.0)
 """How much it may have turned, however short the time [rad]."""
 
 LEAST_GROWTH = 0.1

@@ -33,6 +33,7 @@ def test_nothing_is_read_that_is_not_printed(path):
     assert texts <= printed_in(path)
     if path.stem not in NOT_YET:
         assert texts == printed_in(path)
+    assert len(result.readings) == len(texts)
 
 
 def test_a_micro_qr_code_is_read_whole():

@@ -146,7 +146,7 @@ TWO = {
         [0.044, 0.06, 0.08],
     ),
     "turned": (
-        Body(straight((100, 240), (1_000, 0))), Body(straight((100, 240), (1_000, 0)), lambda t: 0.6), [0.05]
+        Body(straight((100, 240), (1_000, 0))), Body(straight((100, 240), (1_000, 0)), lambda t: 0.7), [0.05]
     ),
     "of another size": (
         Body(straight((100, 240), (1_000, 0))),
@@ -156,6 +156,16 @@ TWO = {
         along(stopping(300.0, 0.1, 1e3)), Body(straight((160, 240), (300, 0), from_s=0.5)), [0.5]
     ),
 }  # fmt: skip
+
+
+def test_one_code_that_turns_is_not_counted_twice_though_its_motion_is_taken_for_that_of_its_ground():
+    """From cold the motion is that of most of what is seen: here of a larger thing that turns with the code."""
+    body, known = ONE["turning"][0], KnownCodes(SchedulerConfig(), WIDTH, HEIGHT)
+    known.merge_with_earlier(TEXT, body.seen(0.0))
+    known.moved(0, body.seen(0.001))
+    found = body.seen(0.005)
+    faster = replace(found, motion=Motion(1.4 * found.motion.velocity, found.time_us))
+    assert known.merge_with_earlier(TEXT, faster) == (0, True)
 
 
 @pytest.mark.parametrize("name", TWO)
