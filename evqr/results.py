@@ -346,7 +346,7 @@ class Statistics(Value, Mapping[str, int]):
     searches : int
         Searches for a code from cold.
     codes_not_decoded : int
-        Codes that were followed and never decoded.
+        Codes that were followed and never decoded, each once; what agrees little with a code is none.
     """
 
     events: int = 0

@@ -2,10 +2,11 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import TypeAlias
 
-from evqr.fit.detection import NotFound
+from evqr.fit.detection import NotFound, Target
+from evqr.motion import Motion
 from evqr.results import CodeReading
 from evqr.symbol.decoded import DecodeFailure
 from evqr.values import Value
@@ -73,6 +74,8 @@ class CodeUnread:
         Correlation with the known modules in the last one, 0 to 1.
     failure : DecodeFailure
         Why it does not decode.
+    target : Target
+        What it was taken for, and where, in the last one; does not count in comparisons.
     """
 
     t_first_us: int
@@ -80,6 +83,7 @@ class CodeUnread:
     windows: int
     score: float
     failure: DecodeFailure
+    target: Target = field(repr=False, compare=False)
 
 
 @dataclass(frozen=True)
@@ -94,12 +98,15 @@ class Searched:
         Codes found in it.
     not_found : NotFound, optional
         Why there is none.
+    motion : Motion, optional
+        How things move in it; does not count in comparisons.
     """
 
     start_us: int
     end_us: int
     codes: int
     not_found: NotFound | None
+    motion: Motion | None = field(default=None, repr=False, compare=False)
 
 
 StreamRecord: TypeAlias = CodeRead | CodeLeft | CodeAgain | CodeUnread | Searched

@@ -30,6 +30,7 @@ from evqr.solver import Solver
 from evqr.stream.known import KnownCodes
 from evqr.stream.records import CodeAgain, CodeLeft, CodeRead, CodeUnread, Searched, StreamRecord
 from evqr.stream.track import Track
+from evqr.stream.unread import UnreadCodes
 
 FOLLOW, SEARCH = range(2)
 """Ranks of activities: of those that wait for the same time, those that follow a code go on first."""
@@ -97,7 +98,8 @@ class StreamScheduler:
         self._motion: Motion | None = None
         self._tau_us: tuple[float, float] | None = None
         self._clock = StageClock()
-        self._windows = self._searches = self._unread = 0
+        self._windows = self._searches = 0
+        self._unread = UnreadCodes(self._config)
         self._ended: tuple[int, int] | None = None
 
     @property
@@ -166,7 +168,7 @@ class StreamScheduler:
             duration_us=duration_us,
             windows=self._windows,
             searches=self._searches,
-            codes_not_decoded=self._unread,
+            codes_not_decoded=len(self._unread),
         )
 
     @property
@@ -313,7 +315,9 @@ class StreamScheduler:
         if not_found is not None:
             self._clock.add(not_found.timings_ms)
         end_us = tried.start_us if tried.window is None else tried.window.end_us
-        self._records.append(Searched(tried.start_us, end_us, codes, None if codes else not_found))
+        self._records.append(
+            Searched(tried.start_us, end_us, codes, None if codes else not_found, tried.motion)
+        )
 
     def _outside_tracks(self, window: Window) -> Window:
         """Give a window without the events of the codes that are, or were in it, followed already."""
@@ -351,6 +355,7 @@ class StreamScheduler:
         if any(target.tau_us):  # of the sensor and its light, so the next code will lag as much
             self._tau_us = target.tau_us
         track.code, again = self._known.merge_with_earlier(track.reading, target)
+        self._unread.read(target)
         if not again:
             self._records.append(CodeRead(track.code, track.reading))
         elif all(other.code != track.code for other in self._tracks if other is not track):
@@ -366,7 +371,10 @@ class StreamScheduler:
                 self._records.append(CodeLeft(track.code, track.last_us))
         else:
             assert track.failure is not None
-            self._unread += 1
+            found = track.detection
+            self._unread.add(found.target, found.score)
             self._records.append(
-                CodeUnread(track.first_us, track.last_us, track.windows, track.detection.score, track.failure)
+                CodeUnread(
+                    track.first_us, track.last_us, track.windows, found.score, track.failure, found.target
+                )
             )
