@@ -1,8 +1,8 @@
 """What reading gives: codes, windows, and all that one recording gave.
 
-Conventions (README, "Conventions"): x is the column and y the row, integers are pixel centres; time stamps
-are int64 microseconds.  All results are values: frozen, with read-only arrays; two runs on the same events
-give equal results, however long they took.
+Conventions (docs/reference/conventions.md): x is the column and y the row, integers are pixel centres; time
+stamps are int64 microseconds.  All results are values: frozen, with read-only arrays; two runs on the same
+events give equal results, however long they took.
 """
 
 from __future__ import annotations
@@ -120,7 +120,7 @@ class CodeReading(_OfSymbol, Payload):
         Returns
         -------
         record : dict
-            Plain values by key, in the order that README tells.
+            Plain values by key, in the order of docs/reference/records.md.
         """
         return {
             "status": ReadStatus.READ.value,
@@ -311,7 +311,7 @@ class WindowReading(Value):
         Returns
         -------
         record : dict
-            Plain values by key, in the order that README tells.
+            Plain values by key, in the order of docs/reference/records.md.
         """
         first = self.codes[0].to_dict() if self.codes else {}
         return {
