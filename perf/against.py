@@ -26,6 +26,7 @@ from importlib.metadata import distributions
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Protocol
 
+import cases
 import numpy as np
 from table import Row, row
 
@@ -63,11 +64,12 @@ class Window:
 
 @dataclass(frozen=True)
 class Trial:
-    """A window read by all, one right after the other: milliseconds and text of each."""
+    """A window read by all, one right after the other: milliseconds and text of each, and in which round."""
 
     window: Window
     ms: Mapping[str, float]
     text: Mapping[str, str | None]
+    round: tuple[int, int] = (0, 0)
 
 
 class Reads(Protocol):
@@ -214,6 +216,7 @@ def run_trials(
                     window,
                     {name: answer["ms"] for name, answer in answers.items()},
                     {name: answer["text"] for name, answer in answers.items()},
+                    (seed, round_),
                 )
 
 
@@ -259,7 +262,46 @@ def rows_of(
             if case == "all" or not all(good):
                 same.append(row("same text", case, kind, "share", [float(np.mean(good))], required=1.0))
                 same[-1]["n"] = len(good)
-    return [*ratios, *times, *same]
+    every = [trial for group in of_window.values() for trial in group]
+    return [*ratios, *rows_without_code(name, texts, every), *rows_of_views(every), *times, *same]
+
+
+def rows_without_code(name: str, texts: Mapping[str, frozenset[str]], trials: Iterable[Trial]) -> list[Row]:
+    """Make rows of the other commit's time on windows with a code over this tree's on those without.
+
+    Windows differ, so that a pair is a window without a code and the median of those with one in its round.
+    """
+    cold: dict[tuple[int, int], list[float]] = {}
+    without: dict[str, list[Trial]] = {}
+    for trial in trials:
+        kind = kind_of(trial.window, texts)
+        if kind == "cold" and trial.window.case not in cases.VIEWS:
+            cold.setdefault(trial.round, []).extend(trial.ms[reader] for reader in OTHER)
+        elif kind == NOTHING:
+            without.setdefault(trial.window.case.split("-")[0], []).append(trial)
+    usual = {round_: float(np.median(values)) for round_, values in cold.items()}
+    made = []
+    for group, each in without.items():
+        values = [
+            usual[trial.round] / trial.ms[reader] for trial in each if trial.round in usual for reader in THIS
+        ]
+        if values:
+            required = cases.WITH_OVER_WITHOUT.get(group, "")
+            made.append(row("ratio", group, NOTHING, f"{name} with a code / this", values, required=required))
+    return made
+
+
+def rows_of_views(trials: Iterable[Trial]) -> list[Row]:
+    """Make the row of this tree's time in a small view over that in a large one: the same code, in pairs."""
+    times: dict[str, dict[tuple[object, ...], float]] = {case: {} for case in cases.VIEWS}
+    for trial in trials:
+        if trial.window.method == "cold" and trial.window.case in times:
+            for reader in THIS:
+                times[trial.window.case][trial.window.start_us, trial.round, reader] = trial.ms[reader]
+    small, large = times.values()
+    values = [small[key] / large[key] for key in small if key in large]
+    stage = " / ".join(cases.VIEWS)
+    return [row("ratio", "views", "cold", stage, values, required=cases.VIEWS_RATIO)] if values else []
 
 
 def kind_of(window: Window, texts: Mapping[str, frozenset[str]]) -> str | None:

@@ -103,17 +103,52 @@ PIPELINE = {
     },
 }
 
-#: Scenes with things that look a little like a code, and none, for the pipeline against another commit.
+_FAST = {"direction": 10.0, "speed_px_ms": 5.0, "preset": "fast"}
+_SLOW = {"direction": 110.0, "speed_px_ms": 2.0, "preset": "slow"}
+
+#: Scenes without a code, for the pipeline against another commit; named after what they show, up to the dash:
+#: several things that look a little like a code, or a label with a print of a kind of `without_code.py`.
 WITHOUT_CODE = {
-    "decoys-fast": {
+    "decoys-fast": {"windows": 4, "scene": {"code": False, **_FAST, "seed": 11}},
+    "decoys-slow": {"windows": 4, "scene": {"code": False, **_SLOW, "seed": 12}},
+    "boxes-fast": {"windows": 4, "print": "box", "scene": {"angle": 20.0, **_FAST, "seed": 13}},
+    "boxes-slow": {"windows": 4, "print": "box", "scene": {"angle": 50.0, **_SLOW, "seed": 14}},
+    "textures-fast": {"windows": 4, "print": "texture", "scene": {"angle": 35.0, **_FAST, "seed": 15}},
+    "textures-slow": {"windows": 4, "print": "texture", "scene": {"angle": 65.0, **_SLOW, "seed": 16}},
+    "symbols-data-matrix": {
         "windows": 4,
-        "scene": {"code": False, "direction": 10.0, "speed_px_ms": 5.0, "preset": "fast", "seed": 11},
+        "print": "DataMatrix",
+        "scene": {"angle": 25.0, **_FAST, "seed": 17},
     },
-    "decoys-slow": {
-        "windows": 4,
-        "scene": {"code": False, "direction": 110.0, "speed_px_ms": 2.0, "preset": "slow", "seed": 12},
-    },
+    "symbols-aztec": {"windows": 4, "print": "Aztec", "scene": {"angle": 75.0, **_SLOW, "seed": 18}},
+    "noise-fast": {"windows": 4, "print": "noise", "scene": {**_FAST, "duration_us": 100_000, "seed": 19}},
+    "noise-slow": {"windows": 4, "print": "noise", "scene": {**_SLOW, "duration_us": 100_000, "seed": 20}},
 }
+
+#: The time of another commit's window with a code over that of this tree's window without one, at least: a
+#: window of noise in half the time, others in twice of it.
+WITH_OVER_WITHOUT = {"noise": 2.0, "boxes": 0.5, "decoys": 0.5, "textures": 0.5, "symbols": 0.5}
+
+_LARGE = {
+    "text": "NINTH",
+    "version": 4,
+    "ec": "Q",
+    "angle": 15.0,
+    "direction": 10.0,
+    "speed_px_ms": 5.0,
+    "module_px": 7.8,  # with its quiet zone the code is 320 px wide, a ninth of 1280 x 720
+    "preset": "fast",
+    "seed": 21,
+}
+
+#: The same code in two sizes of view, the second with the code in a ninth of it.
+VIEWS = {
+    "view-640x480": {"windows": 6, "scene": {**_LARGE, "width": 640, "height": 480}},
+    "view-1280x720": {"windows": 6, "scene": {**_LARGE, "width": 1280, "height": 720}},
+}
+
+#: The first one's time over the second one's, at least.
+VIEWS_RATIO = 1 / 1.3
 
 #: What must be read, and alike on every backend, before a time is printed.
 GATE = {

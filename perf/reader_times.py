@@ -16,6 +16,7 @@ import limits
 import numpy as np
 import pipeline
 import timing
+import without_code
 from table import Row, row
 
 from evqr import EventArray, ReadConfig, open_recording, read_codes, read_windows
@@ -83,9 +84,13 @@ def load_seconds(device: str) -> tuple[float, float]:
 
 
 def simulated(name: str) -> pipeline.Recording:
-    case = {**cases.PIPELINE, **cases.WITHOUT_CODE}[name]
+    case = {**cases.PIPELINE, **cases.WITHOUT_CODE, **cases.VIEWS}[name]
+    if "print" in case:
+        events = without_code.simulated(case["print"], **case["scene"])
+    else:
+        events = simulate(**case["scene"]).events
     texts = {case["scene"]["text"]} if "text" in case["scene"] else set()
-    return _recording(name, simulate(**case["scene"]).events, texts, case["windows"])
+    return _recording(name, events, texts, case["windows"])
 
 
 def recorded(path: Path, windows: int = 8) -> pipeline.Recording | None:

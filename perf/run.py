@@ -5,6 +5,7 @@ usage: run.py --op NAME ...|all [--backend warp] [--device cpu] [--dtype float32
        run.py --pipeline [--threads] [--recordings DIR | --case NAME ...] [--device cpu]
        [--rounds N] [--format human|csv|json] [--save] [--base FILE]
        run.py --pipeline --against REF [as above, without --threads]
+       run.py --processes start|busy|jobs ... [--against REF] [--rounds N] [...]
 
 --op        operations (perf/ops.py) beside the same in numba, torch, SciPy, OpenCV and event libraries
             (perf/peers.py), interleaved; an adjoint beside its operation.  Compilation, first launch and
@@ -21,7 +22,14 @@ usage: run.py --op NAME ...|all [--backend warp] [--device cpu] [--dtype float32
 --against   cold and tracked windows of this tree and of another commit in pairs (perf/against.py), on scenes
             with and without a code; and that commit against itself, which shows the run's noise.  REF gets a
             work tree and an environment of its own, kept for the next time.  Required: on windows with a code
-            REF's time at least 0.95 of this tree's, and everywhere REF's text or the right one.
+            REF's time at least 0.95 of this tree's, and everywhere REF's text or the right one; REF's time
+            on a window with a code at least half of this tree's on one without, and twice of it on noise; a
+            code in a ninth of a view of 1280 x 720 px takes this tree 1.3 times as long as in one of
+            640 x 480, at most.
+--processes whole processes of `evqr read` (perf/processes.py), of this tree and of REF: start, to the first
+            record of the demo, and beyond imports and the load of the kernels; busy, with a neighbour that
+            never rests on one of two cores; jobs, --jobs 2 on many recordings.  Required: 0.2 s beyond;
+            1.3 times as long as without the neighbour; 1.7 times as fast as with --jobs 1.
 --threads   windows a second with one and with two threads.  Required: 1.7 times as many.
 
 No other time is printed unless what is timed agrees with the NumPy specification: an operation and its rivals
@@ -54,7 +62,7 @@ if TYPE_CHECKING:
     from pipeline import Recording
 
 OP_CASES = (*cases.SIZES, "growth", "threads")
-AGAINST_CASES = (*cases.PIPELINE, *cases.WITHOUT_CODE)
+AGAINST_CASES = (*cases.PIPELINE, *cases.WITHOUT_CODE, *cases.VIEWS)
 AGAINST_ROUNDS = 5
 
 
@@ -83,6 +91,15 @@ def time_against(arguments: argparse.Namespace, about: dict[str, str]) -> list[R
     facts, rows = against.time_against(
         arguments.against, recordings, arguments.device, arguments.rounds or AGAINST_ROUNDS
     )
+    about |= facts
+    return rows
+
+
+def time_processes(arguments: argparse.Namespace, about: dict[str, str]) -> list[Row]:
+    """Time whole processes."""
+    import processes
+
+    facts, rows = processes.time_processes(arguments.processes, arguments.against, arguments.rounds)
     about |= facts
     return rows
 
@@ -136,6 +153,7 @@ def main() -> int:
     parser.add_argument("--op", nargs="+", metavar="NAME", choices=("all", *ops.PROBLEMS))
     parser.add_argument("--pipeline", action="store_true")
     parser.add_argument("--threads", action="store_true")
+    parser.add_argument("--processes", nargs="+", metavar="KIND", choices=("start", "busy", "jobs"))
     parser.add_argument("--against", metavar="REF", help="a commit to time the pipeline against, bab4626 say")
     parser.add_argument("--recordings", type=Path, metavar="DIR", help="of .h5 files with their truth")
     parser.add_argument("--case", nargs="+", metavar="NAME", choices=(*OP_CASES, *AGAINST_CASES))
@@ -154,16 +172,19 @@ def main() -> int:
     parser.add_argument("--base", type=Path, metavar="FILE", help="a saved run to compare with")
     arguments = parser.parse_args()
     of_reader = arguments.pipeline or arguments.threads
-    if bool(arguments.op) == of_reader:
-        parser.error("name what to time: --op, or --pipeline, --threads or both")
-    if arguments.against and (not arguments.pipeline or arguments.threads):
-        parser.error("--against is for --pipeline, without --threads")
+    if [bool(arguments.op), of_reader, bool(arguments.processes)].count(True) != 1:
+        parser.error("name what to time: --op, or --pipeline, --threads or both, or --processes")
+    if arguments.against and (arguments.op or arguments.threads):
+        parser.error("--against is for --pipeline, without --threads, and for --processes")
+    if arguments.case and arguments.processes:
+        parser.error("--processes has no cases")
     allowed = OP_CASES if arguments.op else AGAINST_CASES if arguments.against else tuple(cases.PIPELINE)
     for case in set(arguments.case or ()) - set(allowed):
         parser.error(f"--case must be one of {', '.join(allowed)} here, got {case!r}")
 
     about = machine.describe(arguments.device)
     measure = time_ops if arguments.op else time_against if arguments.against else time_reader
+    measure = time_processes if arguments.processes else measure
     rows = measure(arguments, about)
     if arguments.base:
         table.compare(rows, arguments.base)

@@ -5,6 +5,7 @@ No time is judged; the trees are made up, and read what a file says.
 
 import os
 import sys
+from dataclasses import replace
 from pathlib import Path
 from types import SimpleNamespace
 
@@ -14,6 +15,7 @@ import pytest
 sys.path.insert(0, str(Path(__file__).parents[1] / "perf"))
 
 import against
+import cases
 import table
 from against import NOTHING, Trial, Window
 
@@ -140,7 +142,7 @@ def rows(windows, trials):
 
 
 def test_ratios_are_medians_of_pairs():
-    made = rows([COLD, BOXES], [*[trial(COLD, 2.0, 4.0)] * 2, trial(BOXES, 9.0, 9.0, None, None)])
+    made = rows([COLD, BOXES], [*[trial(COLD, 2.0, 4.0)] * 2, trial(BOXES, 3.0, 9.0, None, None)])
     ratio = made["ratio", "all", "cold", "ref / this"]
     # the second process of the other commit takes half of the time: pairs of 2 and 1
     assert (ratio["median"], ratio["n"], ratio["required"]) == (1.5, 4, against.REQUIRED)
@@ -200,3 +202,39 @@ def test_what_holds_threads_back_is_not_passed_on(monkeypatch):
     assert kept.keys() == os.environ.keys() - {k for k in os.environ if k.endswith("_THREADS")} - {
         "PYTHONPATH"
     }
+
+
+def test_windows_without_a_code_are_compared_with_the_other_commits_code_in_their_round():
+    texts = {
+        "code": frozenset({"RIGHT"}),
+        "boxes-a": frozenset(),
+        "boxes-b": frozenset(),
+        "noise-a": frozenset(),
+    }
+    cold, a, b, noise = (Window(case, 1, "cold") for case in texts)
+    nothing = {"text": None, "other_text": None}
+    trials = [
+        replace(trial(window, this, other, **more), round=(0, round_))
+        for round_, scale in ((1, 1.0), (2, 10.0))
+        for window, this, other, more in (
+            (cold, 99.0, 4.0 * scale, {}), (a, 6.0 * scale, 1.0, nothing), (b, 12.0 * scale, 1.0, nothing),
+            (noise, 1.0 * scale, 1.0, nothing),
+        )
+    ]  # fmt: skip
+    made = {r["case"]: r for r in against.rows_without_code("ref", texts, trials)}
+    # processes of the other commit take 4 and 2 on a code, 40 and 20 in the second round: 3 and 30
+    assert made["boxes"]["median"] == pytest.approx((3 / 6 + 3 / 12) / 2)
+    assert (made["boxes"]["n"], made["boxes"]["required"]) == (8, 0.5)
+    assert made["noise"]["median"] == 3.0 and made["noise"]["required"] == 2.0
+    assert against.rows_without_code("ref", texts, [t for t in trials if t.window != cold]) == []
+
+
+def test_views_are_compared_window_by_window():
+    small, large = (
+        [Window(case, start, method) for start in (1, 2) for method in ("cold", "tracked")]
+        for case in cases.VIEWS
+    )
+    trials = [trial(w, 2.0 if w in small else 2.5 * w.start_us, 1.0) for w in (*small, *large)]
+    (made,) = against.rows_of_views(trials)
+    assert (made["median"], made["n"], made["required"]) == (0.6, 4, cases.VIEWS_RATIO)
+    assert against.rows_of_views(trials[:4]) == []
