@@ -51,7 +51,16 @@ if TYPE_CHECKING:
         save_recording,
         summarise,
     )
-    from evqr.results import CodeReading, ReadResult, ReadStatus, Statistics, WindowCode, WindowReading
+    from evqr.results import (
+        Candidate,
+        CodeReading,
+        Nearest,
+        ReadResult,
+        ReadStatus,
+        Statistics,
+        WindowCode,
+        WindowReading,
+    )
     from evqr.search.motion_estimate import MotionEstimate
     from evqr.solver import Solver
     from evqr.symbol.gs1 import Gs1Element
@@ -59,10 +68,13 @@ if TYPE_CHECKING:
     from evqr.symbol.payload import CharsetSource, ContentType, Payload, StructuredAppend
     from evqr.symbol.space import Anchor, CodeSpace, Landmark, Symbology
 
+    __version__: str
+
 __all__ = [
     "AlignConfig",
     "Anchor",
     "BackendError",
+    "Candidate",
     "CharsetSource",
     "CodeEstimate",
     "CodeReading",
@@ -85,6 +97,7 @@ __all__ = [
     "Motion",
     "MotionConfig",
     "MotionEstimate",
+    "Nearest",
     "NormalEquations",
     "NotFound",
     "PackedEvents",
@@ -182,7 +195,9 @@ _HOME = {
         "summarise",
     ),
     "evqr.results": (
+        "Candidate",
         "CodeReading",
+        "Nearest",
         "ReadResult",
         "ReadStatus",
         "Statistics",
@@ -212,7 +227,7 @@ _HOME = {
 _HOME_OF = {name: module for module, names in _HOME.items() for name in names}
 
 
-def __getattr__(name: str) -> Any:
+def _value(name: str) -> Any:
     if name == "__version__":
         from importlib.metadata import version
 
@@ -224,6 +239,10 @@ def __getattr__(name: str) -> Any:
     value = getattr(importlib.import_module(_HOME_OF[name]), name)
     globals()[name] = value
     return value
+
+
+if not TYPE_CHECKING:
+    __getattr__ = _value  # a type checker would take it that there is every name
 
 
 def __dir__() -> list[str]:

@@ -18,13 +18,15 @@ from evqr.fit.detection import Detection, NotFound
 from evqr.fit.modules import CodeEstimate
 from evqr.fit.outside import outside
 from evqr.geometry import affine_to_code
+from evqr.motion import Motion
 from evqr.reason import Reason
 from evqr.recording import Recording, open_recording
-from evqr.results import CodeReading, ReadResult, ReadStatus, WindowCode, WindowReading
+from evqr.results import Candidate, CodeReading, Nearest, ReadResult, ReadStatus, WindowCode, WindowReading
 from evqr.search.motion_estimate import MotionEstimate
 from evqr.solver import Solver
 from evqr.stream.records import CodeLeft, CodeRead, CodeUnread, Searched, StreamRecord
 from evqr.stream.scheduler import StreamScheduler
+from evqr.stream.unread import at_one_place
 from evqr.symbol.decode import decode_grid
 from evqr.symbol.decoded import Decoded, DecodeFailure
 
@@ -38,6 +40,9 @@ Progress = Callable[[int, "int | None"], None]
 
 PROGRESS_US = 1_000
 """Event time between two calls of a progress function at least [us]."""
+
+MOST_CANDIDATES = 3
+"""That are told of where nothing was read."""
 
 WINDOWS_A_JOB = 4
 """Windows that a thread reads before it asks for more: each time it may have to wait for the GIL."""
@@ -93,7 +98,7 @@ def read_codes(
         recording, path = _open(source, opening, stack)
         solvers, pool = _solvers(threads, stack, config=config, backend=backend, device=device)
         scheduler = StreamScheduler(solvers, recording.width, recording.height, pool=pool)
-        codes = _Codes()
+        codes = _Codes(solvers[0].config.align.good_score)
         for record in _records(scheduler, recording, progress):
             codes.take(record)
     readings = tuple(sorted(codes.readings.values(), key=lambda reading: reading.t_read_us))
@@ -107,16 +112,19 @@ def read_codes(
         source=path,
         reason_code=reason_code,
         warnings=recording.notes,
+        nearest=None if readings else codes.nearest(),
     )
 
 
 class _Codes:
     """What the records of a stream come to."""
 
-    def __init__(self) -> None:
+    def __init__(self, good_score: float) -> None:
         self.readings: dict[int, CodeReading] = {}
-        self._unread: CodeUnread | None = None
+        self._good_score = good_score
+        self._unread: list[CodeUnread] = []  # the best, best first
         self._nearest = NotFound(Reason.NO_EVENTS, closest=-1.0)
+        self._moving: tuple[float, Motion] | None = None
 
     def take(self, record: StreamRecord) -> None:
         """Add a record."""
@@ -126,19 +134,54 @@ class _Codes:
             reading = self.readings[record.code]
             self.readings[record.code] = replace(reading, t_last_us=record.t_last_us)
         elif isinstance(record, CodeUnread):
-            if self._unread is None or record.score > self._unread.score:
-                self._unread = record
+            if all(not at_one_place(record.target, each.target) for each in self._unread):
+                self._unread.append(record)
+            else:
+                self._unread = [
+                    max(each, record, key=_score) if at_one_place(record.target, each.target) else each
+                    for each in self._unread
+                ]
+            self._unread = sorted(self._unread, key=_score, reverse=True)[:MOST_CANDIDATES]
         elif isinstance(record, Searched) and record.not_found is not None:
             if record.not_found.closest >= self._nearest.closest:
                 self._nearest = record.not_found
+                if record.motion is not None:
+                    self._moving = (record.start_us + record.end_us) / 2.0, record.motion
 
     def why_nothing(self) -> tuple[str, Reason]:
         """Why nothing was read, for people and for programs."""
-        best = self._unread
-        if best is None:
+        if not self._unread:
             return str(self._nearest), self._nearest.reason
+        best = self._unread[0]
         detail = f"over {best.t_last_us - best.t_first_us} us: {best.failure}"
-        return Reason.NOT_DECODED.explained(detail), Reason.NOT_DECODED
+        if best.score >= self._good_score:
+            return Reason.NOT_DECODED.explained(detail), Reason.NOT_DECODED
+        return Reason.DISAGREES.explained(f"{best.score:.2f}, followed {detail}"), Reason.DISAGREES
+
+    def nearest(self) -> Nearest | None:
+        """Tell what came nearest to a code; None where nothing moved."""
+        if not self._unread:
+            if self._moving is None:
+                return None
+            time_us, motion = self._moving
+            return Nearest(t_us=round(time_us), motion_px_per_s=motion.velocity)
+        best = self._unread[0].target
+        return Nearest(
+            t_us=round(best.time_us),
+            motion_px_per_s=best.motion.velocity_at(best.centre),
+            candidates=tuple(
+                Candidate(
+                    symbol=f"{each.target.space.symbology.value} {each.target.space.version}",
+                    score=each.score,
+                    corners_px=each.target.at(best.time_us).outline(),
+                )
+                for each in self._unread
+            ),
+        )
+
+
+def _score(record: CodeUnread) -> float:
+    return record.score
 
 
 def _records(

@@ -10,7 +10,7 @@ from __future__ import annotations
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, field
 from enum import Enum
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -19,6 +19,9 @@ from evqr.reason import Reason
 from evqr.symbol.messages import Message, join_messages
 from evqr.symbol.payload import ContentType, Payload
 from evqr.values import Value, plain
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
 
 
 class ReadStatus(str, Enum):
@@ -113,6 +116,30 @@ class CodeReading(_OfSymbol, Payload):
 
     def __str__(self) -> str:
         return f"{self.text!r} ({self.symbol}) at {self.t_read_us} us"
+
+    def draw(self, source: Any, **drawing: Any) -> Figure:
+        """Draw how the code was read, as `draw_reading` does.
+
+        Parameters
+        ----------
+        source : path, EventArray, Recording or arrays
+            The events.
+        **drawing : as for `draw_reading`
+            Such as ``truth``, and what `open_recording` takes.
+
+        Returns
+        -------
+        Figure
+            Of matplotlib; its ``savefig`` writes it to a file.
+
+        Raises
+        ------
+        MissingExtra, RecordingError
+            Matplotlib is not installed; the source cannot be read.
+        """
+        import evqr
+
+        return evqr.draw_reading(source, self, **drawing)
 
     def to_dict(self) -> dict[str, Any]:
         """Return the record of `evqr read --json`.
@@ -367,6 +394,64 @@ class Statistics(Value, Mapping[str, int]):
         return len(vars(self))
 
 
+@dataclass(frozen=True, eq=False, kw_only=True)
+class Candidate(Value):
+    """Something that a code was searched in, and that was not read.
+
+    Attributes
+    ----------
+    symbol : str
+        What it was taken for, in short: QRCode 7.
+    score : float
+        Its correlation with the modules that such a symbol must have, 0 to 1.
+    corners_px : (4, 2) float64 [px]
+        Where it was, as of codes that are read.
+    """
+
+    symbol: str
+    score: float
+    corners_px: NDArray[np.float64]
+
+    def to_dict(self) -> dict[str, Any]:
+        """Return it as plain values.
+
+        Returns
+        -------
+        record : dict
+            By field.
+        """
+        return {"symbol": self.symbol, "score": plain(self.score, 3), "corners_px": plain(self.corners_px, 3)}
+
+
+@dataclass(frozen=True, eq=False, kw_only=True)
+class Nearest(Value):
+    """What came nearest to a code where nothing was read.
+
+    Attributes
+    ----------
+    t_us : int [us]
+        When.
+    motion_px_per_s : (2,) float64 [px/s]
+        How things moved then.
+    candidates : tuple of Candidate
+        The best at most, best first, at that time.
+    """
+
+    t_us: int
+    motion_px_per_s: NDArray[np.float64]
+    candidates: tuple[Candidate, ...] = ()
+
+    def to_dict(self) -> dict[str, Any]:
+        """Return it as plain values.
+
+        Returns
+        -------
+        record : dict
+            By field.
+        """
+        return {**super().to_dict(), "motion_px_per_s": plain(self.motion_px_per_s, 2)}
+
+
 @dataclass(frozen=True, eq=False)
 class ReadResult(Value):
     """All that one recording gave.
@@ -389,6 +474,8 @@ class ReadResult(Value):
         The reason for programs; None when something was read.
     warnings : tuple of str
         What was odd about the recording, in words.
+    nearest : Nearest or None
+        What came nearest, where nothing was read but something moved; does not count in comparisons.
     """
 
     status: ReadStatus
@@ -399,6 +486,7 @@ class ReadResult(Value):
     source: str = ""
     reason_code: Reason | None = None
     warnings: tuple[str, ...] = ()
+    nearest: Nearest | None = field(default=None, compare=False)
 
     @property
     def messages(self) -> tuple[Message, ...]:
@@ -408,6 +496,40 @@ class ReadResult(Value):
     def __str__(self) -> str:
         found = ", ".join(map(str, self.readings)) or f"{self.status.value}: {self.reason}"
         return f"{self.source}: {found}" if self.source else found
+
+    def draw(self, source: Any = None, *, reading: int = 0, **drawing: Any) -> Figure:
+        """Draw how a code was read, or what there was where nothing was read, as `draw_reading` does.
+
+        Parameters
+        ----------
+        source : path, EventArray, Recording or arrays, optional
+            The events; default: the file that was read.
+        reading : int
+            Which one.
+        **drawing : as for `draw_reading`
+            Such as ``truth``, and what `open_recording` takes.
+
+        Returns
+        -------
+        Figure
+            Of matplotlib; its ``savefig`` writes it to a file.
+
+        Raises
+        ------
+        ValueError
+            There is no such reading, or no source.
+        MissingExtra, RecordingError
+            Matplotlib is not installed; the source cannot be read.
+        """
+        import evqr
+
+        if self.readings and not -len(self.readings) <= reading < len(self.readings):
+            raise ValueError(f"reading must be one of {len(self.readings)}, got {reading}")
+        if source is None:
+            if not self.source:
+                raise ValueError("source must be given: this is a result of events in memory")
+            source = self.source
+        return evqr.draw_reading(source, self.readings[reading] if self.readings else self, **drawing)
 
     def to_dict(self) -> dict[str, Any]:
         """Return all of it as plain values.

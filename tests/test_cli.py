@@ -399,8 +399,17 @@ def test_picture(capsys, reads, recording, tmp_path):
     reads(sample_results.no_read_result())
     none = tmp_path / "none.png"
     status, _, err = run(capsys, "read", recording, "--picture", none)
-    assert (status, none.exists()) == (1, False)
-    assert str(none) in err[0]
+    assert (status, none.exists(), err) == (1, True, [])
+    assert run(capsys, "info", recording, "--picture", tmp_path / "seen.png")[0] == 0
+    assert (tmp_path / "seen.png").read_bytes().startswith(b"\x89PNG")
+
+    reads(sample_results.read_result(sample_results.READING, sample_results.READING))
+    folder = tmp_path / "pictures"
+    other = sample_results.recording(tmp_path / "a.h5")
+    assert run(capsys, "read", recording, other, "--picture", folder)[0] == 0
+    assert sorted(path.name for path in folder.iterdir()) == [
+        "a-1.png", "a-2.png", "line3-1.png", "line3-2.png",
+    ]  # fmt: skip
 
 
 def test_simulate_and_info(capsys, tmp_path):

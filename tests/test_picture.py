@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 import re
 import sys
 import warnings
@@ -17,6 +18,10 @@ from evqr_kernels.extras import install_command
 pytest.importorskip("matplotlib", reason="extra 'plot' is not installed")
 
 from evqr.output import picture
+from evqr.output.overview import draw_recording
+from evqr.output.span import Timeline
+from evqr.recording import summarise
+from evqr.results import Candidate, Nearest
 
 
 def moving_dots(reading):
@@ -54,6 +59,10 @@ def panel(figure, start):
     return axes
 
 
+def legend_of(axes):
+    return [text.get_text() for text in axes.get_legend().get_texts()]
+
+
 def test_wrong_modules_are_coloured():
     estimate = sample_results.READING.estimate.copy()
     (false_light, *_), (false_dark, second_false_dark, *_) = (
@@ -64,7 +73,8 @@ def test_wrong_modules_are_coloured():
     estimate[second_false_dark] *= -1
     figure = picture.draw_reading(sample_results.events(), sample_results.reading(estimate=estimate))
     axes = panel(figure, "their signs")
-    assert axes.get_title(loc="left") == "their signs: 3 of 441 wrong"
+    assert axes.get_title(loc="left") == "their signs: 3 of 441 other than decoded"
+    assert legend_of(axes) == ["dark, decoded as light", "light, decoded as dark"]
     (image,) = axes.images
     colours = image.cmap(image.norm(image.get_array()))
     magenta, green = np.array([0.9, 0.0, 0.62]), np.array([0.18, 0.7, 0.27])
@@ -84,6 +94,7 @@ def test_truth_takes_the_place_of_what_was_decoded():
     (image,) = panel(figure, "modules, true").images
     np.testing.assert_array_equal(np.asarray(image.get_array()) == 0, truth < 0)
     assert "modules, as decoded" not in panels(figure)
+    assert legend_of(panel(figure, "their signs")) == ["dark, truly light", "light, truly dark"]
 
 
 def test_truth_of_another_size_is_refused():
@@ -116,6 +127,92 @@ def test_outline_is_where_it_was_found():
     for title in ("events of", "motion taken out"):
         (outline,) = panel(figure, title).patches
         np.testing.assert_array_equal(outline.get_xy()[:4], sample_results.READING.corners_px)
+
+
+def test_an_outline_that_leaves_the_sensor_leaves_the_layout_as_it_is():
+    corners = np.array([[-300.0, -200.0], [84.0, -200.0], [84.0, 184.0], [-300.0, 184.0]])
+    inside = picture.draw_reading(sample_results.events(), sample_results.READING)
+    outside = picture.draw_reading(sample_results.events(), sample_results.reading(corners_px=corners))
+    for one, other in zip(inside.axes, outside.axes, strict=True):
+        for figure in (inside, outside):
+            figure.canvas.draw()
+        np.testing.assert_allclose(one.get_position().bounds, other.get_position().bounds, atol=1e-6)
+    axes = panel(outside, "events of")
+    assert (axes.get_xlim(), axes.get_ylim()) == ((-0.5, 159.5), (119.5, -0.5))
+
+
+@pytest.fixture(scope="module")
+def nothing():
+    velocity = np.array([4000.0, -500.0])
+    candidate = Candidate(symbol="QRCode 1", score=0.7654, corners_px=sample_results.READING.corners_px)
+    return dataclasses.replace(
+        sample_results.no_read_result(),
+        nearest=Nearest(t_us=9000, motion_px_per_s=velocity, candidates=(candidate,)),
+    )
+
+
+def test_nothing_read_shows_the_best_candidates_with_the_motion_taken_out(nothing):
+    reading = sample_results.READING
+    figure = picture.draw_reading(moving_dots(dataclasses.replace(reading, t_read_us=12000)), nothing)
+    assert any("nothing read: no finder pattern was seen" in text.get_text() for text in figure.texts)
+    axes = panel(figure, "motion taken out")
+    (outline,) = axes.patches
+    np.testing.assert_array_equal(outline.get_xy()[:4], reading.corners_px)
+    assert "QRCode 1? 0.77" in [text.get_text() for text in axes.texts]
+    values = np.abs(np.asarray(axes.images[0].get_array()))
+    assert (values > 0.05 * values.max()).sum() < 150  # two dots, not two streaks
+    assert any(title.startswith("events a millisecond") for title in panels(figure))
+
+
+def test_nothing_read_of_any_kind_can_be_drawn(tmp_path, nothing):
+    still = sample_results.no_read_result()
+    none_taken = dataclasses.replace(nothing, nearest=dataclasses.replace(nothing.nearest, candidates=()))
+    for result in (still, none_taken):
+        path = tmp_path / "nothing.png"
+        picture.save_picture(path, sample_results.events(), result)
+        assert path.stat().st_size > 10_000
+
+
+def test_results_draw_themselves_from_whatever_holds_the_events(tmp_path, nothing):
+    path = sample_results.recording(tmp_path / "events.h5")
+    result = dataclasses.replace(sample_results.read_result(), source=str(path))
+    events = sample_results.events()
+    figures = [
+        result.draw(),
+        result.draw(events),
+        result.draw(path, reading=-1),
+        result.readings[0].draw(path, truth=sample_results.MODULES),
+        picture.draw_reading(path, result),
+        picture.draw_reading(
+            (events.t, events.x, events.y, events.p), result, sensor="160x120", time_unit="us"
+        ),
+    ]
+    images = [np.asarray(panel(figure, "events of").images[0].get_array()) for figure in figures]
+    for image in images:
+        np.testing.assert_array_equal(image, images[0])
+    assert panels(dataclasses.replace(nothing, source=str(path)).draw())
+    with pytest.raises(ValueError, match="reading must be one of 1, got 1"):
+        result.draw(reading=1)
+    with pytest.raises(ValueError, match="source must be given"):
+        sample_results.read_result().draw()
+    with pytest.raises(TypeError, match="reading must be a CodeReading or a ReadResult, got str"):
+        picture.draw_reading(path, "LOT 42")  # pyright: ignore[reportArgumentType]
+
+
+def test_what_a_camera_saw(tmp_path):
+    path = sample_results.recording(tmp_path / "events.h5")
+    figure = draw_recording(path, summarise(path))
+    (counts,) = panel(figure, "events a pixel").images
+    assert np.expm1(np.asarray(counts.get_array())).sum() == pytest.approx(4000)
+    assert any("160x120" in text.get_text() for text in figure.texts)
+
+
+def test_a_timeline_counts_all_events_however_long_it_gets():
+    timeline, events = Timeline(), sample_results.events()
+    for start in range(0, 4000, 500):
+        timeline.add(events.cut(start, start + 500))
+    assert timeline.per_ms.sum() * timeline.bin_us / 1000 == pytest.approx(4000)
+    assert timeline.bin_us * len(timeline.per_ms) >= events.t[-1] - events.t[0]
 
 
 def test_events_panel_shows_the_last_event_of_each_pixel():

@@ -29,23 +29,38 @@ if TYPE_CHECKING:
     from evqr.recording import RecordingOptions
 
 
-@click.command(epilog=examples("evqr info line3.raw", "evqr info events.txt --sensor 640x480 --time-unit s"))
+@click.command(
+    epilog=examples(
+        "evqr info line3.raw --picture line3.png", "evqr info events.txt --sensor 640x480 --time-unit s"
+    )
+)
 @click.argument("recording", metavar="RECORDING", type=click.Path(path_type=Path))
 @click.option("--json", "as_json", is_flag=True, help="One JSON object on stdout.")
 @recording_options
-def info(recording: Path, as_json: bool, opening: RecordingOptions) -> int:
+@click.option(
+    "--picture",
+    type=click.Path(path_type=Path),
+    metavar="FILE",
+    help="Draw what the camera saw to a .png, .svg or .pdf file.",
+)
+def info(recording: Path, as_json: bool, opening: RecordingOptions, picture: Path | None) -> int:
     """Tell what a recording holds, and anything suspicious in it.
 
     Of a recording with several event streams their names are told; --stream NAME tells of one.
     """
+    from evqr.output.drawing import require_drawable, save_figure
     from evqr.recording import open_recording, summarise
 
+    if picture is not None:
+        require_drawable(picture)  # before the work is done
     try:
-        with (
-            open_recording(recording, **opening) as opened,
-            progress_bar(recording.name) as progress,
-        ):
-            found = summarise(opened, progress=progress)
+        with open_recording(recording, **opening) as opened:
+            with progress_bar(recording.name) as progress:
+                found = summarise(opened, progress=progress)
+            if picture is not None:
+                from evqr.output.overview import draw_recording
+
+                save_figure(picture, draw_recording(opened, found))
     except StreamChoice as choice:
         record = {"path": str(recording), "streams": list(choice.streams)}
         click.echo(json_line(record) if as_json else records.streams_text(choice.streams))
@@ -230,7 +245,8 @@ def demo(picture: Path, backend: str, device: str, threads: int | None) -> int:
     """
     from evqr.demo import demo_recording, demo_truth
     from evqr.offline import read_codes
-    from evqr.output.picture import picture_events, require_drawable, save_picture
+    from evqr.output.drawing import require_drawable
+    from evqr.output.picture import picture_events, save_picture
     from evqr.recording import open_recording
 
     without = ""

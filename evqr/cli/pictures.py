@@ -7,10 +7,11 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
-from evqr.cli.options import note
 from evqr.cli.sources import Named
 from evqr.errors import UsageError
-from evqr.output.picture import picture_events, require_drawable, save_picture
+from evqr.output.drawing import require_drawable, save_figure
+from evqr.output.nothing_read import draw_nothing_read
+from evqr.output.picture import picture_events, save_picture
 from evqr.results import ReadResult, ReadStatus
 
 
@@ -53,9 +54,7 @@ class Pictures:
             for index, named in enumerate(recordings, start=1)
         }
 
-    def draw(
-        self, named: Named, result: ReadResult, *, opening: Mapping[str, Any], compute: Mapping[str, Any]
-    ) -> None:
+    def draw(self, named: Named, result: ReadResult, opening: Mapping[str, Any]) -> None:
         """Draw what a recording gave; one that could not be read has no picture."""
         if result.status is ReadStatus.ERROR:
             return
@@ -67,8 +66,9 @@ class Pictures:
             for number, reading in enumerate(shown, start=1):
                 path = self._place / f"{stem}-{number}.png" if self._folder else self._place
                 save_picture(path, picture_events(recording, reading), reading)
-        if not result.readings:
-            note(f"nothing read: {self._place} is not drawn")
+            if not shown:
+                path = self._place / f"{stem}-nothing-read.png" if self._folder else self._place
+                save_figure(path, draw_nothing_read(recording, result))
 
 
 def _stem(named: Named) -> str:

@@ -124,7 +124,7 @@ def read(
             sink.result(named, result)
             results.append(result)
             if pictures is not None:
-                pictures.draw(named, result, opening=opening, compute=compute)
+                pictures.draw(named, result, opening)
     return _exit_status(results)
 
 

@@ -2,13 +2,13 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import asdict
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from evqr.results import CodeReading, ReadResult, ReadStatus, WindowReading
+from evqr.results import CodeReading, Nearest, ReadResult, ReadStatus, WindowReading
 from evqr.symbol.gs1 import SEPARATOR
 from evqr.symbol.messages import Message
 from evqr.symbol.payload import ContentType, Payload
@@ -41,7 +41,7 @@ def result_records(result: ReadResult) -> list[dict[str, Any]]:
     record = result.to_dict()
     keys = ["status", "reason", "reason_code"]
     if result.status is not ReadStatus.ERROR:
-        keys += ["seen", "compute_ms", "warnings"]
+        keys += ["seen", "compute_ms", "warnings", "nearest"]
     return [{key: record[key] for key in keys}]
 
 
@@ -94,7 +94,18 @@ def result_text(result: ReadResult) -> str:
     if result.status is ReadStatus.ERROR:
         return f"error: {result.reason}"
     seen = ", ".join(f"{key.replace('_', ' ')} {value}" for key, value in result.seen.items())
-    return f"nothing read: {result.reason}" + (f"\n  seen     {seen}" if seen else "")
+    lines = [f"nothing read: {result.reason}", *([f"  seen     {seen}"] if seen else [])]
+    return "\n".join((*lines, *_nearest_lines(result.nearest)))
+
+
+def _nearest_lines(nearest: Nearest | None) -> Iterator[str]:
+    if nearest is None:
+        return
+    vx, vy = nearest.motion_px_per_s
+    yield f"  motion   {float(np.hypot(vx, vy)):.0f} px/s ({vx:+.0f}, {vy:+.0f}) at {nearest.t_us} us"
+    for candidate in nearest.candidates:
+        x, y = candidate.corners_px.mean(axis=0)
+        yield f"  nearest  {candidate.symbol} at ({x:.0f}, {y:.0f}) px, agreement {candidate.score:.2f}"
 
 
 def window_text(window: WindowReading) -> str:

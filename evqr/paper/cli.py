@@ -147,7 +147,7 @@ def table1(
     """
     from tqdm import tqdm
 
-    from evqr.output.picture import figure_class
+    from evqr.output.drawing import figure_class
     from evqr.paper.evaluate.cell import Cell, run_cells
     from evqr.paper.evaluate.details import SINGLE
     from evqr.paper.evaluate.report import About, write_report

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
-from evqr.output.picture import FALSE_DARK, FALSE_LIGHT, GREY, INK, figure_class
+from evqr.output.drawing import FALSE_DARK, FALSE_LIGHT, GREY, INK, figure_class
 from evqr.paper.evaluate.cell import CellResult
 from evqr.paper.evaluate.details import EDGE_BOUNDS, SINGLE
 from evqr.paper.evaluate.metrics import Trial, binned, calibration, mode_of

@@ -11,7 +11,7 @@ import pytest
 from click.testing import CliRunner
 
 from evqr import main as cli
-from evqr.output.picture import FALSE_DARK, FALSE_LIGHT
+from evqr.output.drawing import FALSE_DARK, FALSE_LIGHT
 from evqr.paper.dataset.manifest import load_manifest, save_manifest
 from evqr.paper.evaluate.cell import Cell, CellResult
 from evqr.paper.evaluate.details import details_of
