@@ -46,7 +46,7 @@ def _command(command: click.Command, context: click.Context) -> Iterator[str]:
         for option in options:
             record = option.get_help_record(context)
             assert record is not None
-            yield f"| `{_cell(record[0])}` | {_cell(record[1])} |"
+            yield f"| {_code(record[0])} | {_cell(record[1])} |"
         yield ""
     lines = [line.strip() for line in (command.epilog or "").replace("\b", "").splitlines()]
     shown = [line for line in lines if line and line != "Examples:"]
@@ -54,6 +54,11 @@ def _command(command: click.Command, context: click.Context) -> Iterator[str]:
         yield from ("```sh", *shown, "```", "")
 
 
+def _code(text: str) -> str:
+    """Write code for a cell: a bar within backticks is shown differently by different readers of Markdown."""
+    return f"<code>{text.replace('|', '&#124;')}</code>" if "|" in text else f"`{text}`"
+
+
 def _cell(text: str) -> str:
-    """Keep a text on one line of a table; options with several names are told on their own."""
+    """Keep a text on one line of a table."""
     return " ".join(text.split()).replace("|", "\\|")
