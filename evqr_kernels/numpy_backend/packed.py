@@ -24,11 +24,11 @@ def deposit_packed_events(x, y, stamp, window_ptr, t_ref, motion, frame, extent,
     dtype = deposit_out.dtype
     for b, (first, last) in enumerate(window_ptr):
         height, width = extent[b]
-        t = ((stamp[first:last] >> 1).astype(np.int64) - t_ref[b]).astype(dtype)
+        t = (stamp[first:last] - (np.uint32(t_ref[b]) << np.uint32(1))).view(np.int32) >> 1
         weight = _polarity(stamp[first:last]).astype(dtype)
         columns, rows = (positions[first:last].astype(dtype) for positions in (x, y))
         cells = deposit_out[b, :, :height, :width]
-        deposit_window(columns, rows, t, weight, motion[b], frame[b], cells)
+        deposit_window(columns, rows, t.astype(dtype), weight, motion[b], frame[b], cells)
 
 
 def _polarity(stamp):

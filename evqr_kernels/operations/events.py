@@ -49,7 +49,12 @@ PACKED = (
     ints("stamp", "E", integers=np.uint32),
     ints("window_ptr", "B", 2, ranges="E"),
 )
-SHARED_OUT = (Variant(device="cpu"), Variant(threads=512))
+BLOCKED = (
+    Variant(tile=8, width=8, device="cpu", backend="taichi"),
+    Variant(tile=CHUNK, width=CHUNK, device="cpu"),
+    Variant(device="cpu"),
+    Variant(threads=512),
+)
 
 BLURRED: tuple[Input, ...] = (
     ints("deposit_idx", "N", index="B"),
@@ -129,7 +134,7 @@ OPERATIONS = (
         file="packed",
         arguments=(*PACKED, setting("reduction", 1e-6), accumulated("image_out", "B", "Y", "X")),
         parameters=(IMAGE,),
-        variants=SHARED_OUT,
+        variants=BLOCKED,
     ),
     Operation(
         name="deposit_packed_events",
@@ -143,7 +148,7 @@ OPERATIONS = (
             accumulated("deposit_out", "B", 2, "Y", "X"),
         ),
         parameters=(IMAGE,),
-        variants=SHARED_OUT,
+        variants=BLOCKED,
     ),
     Operation(
         name="lag_operator",

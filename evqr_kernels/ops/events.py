@@ -270,7 +270,7 @@ def bin_packed_events(
     x, y : (E,) uint16
         Column and row of the pixel [px].
     stamp : (E,) uint32
-        Twice the time since a reference [us], which each window chooses, plus 1 where it became brighter.
+        Twice the time [us], modulo 2^32, plus 1 where it became brighter.
     window_ptr : (B, 2) int32
         First event of each window, and the one behind its last; windows may share events, or have none.
     reduction : float [px]
@@ -320,8 +320,7 @@ def deposit_packed_events(
     x, y, stamp, window_ptr
         As in `bin_packed_events`.
     t_ref : (B,) int32
-        When each window is looked at [us], since the reference of its events: they are brought to where they
-        were then.
+        Time to which each window's events are brought [us], modulo 2^31; they are within 2^30 us of it.
     motion : (B, 2) float [px/us]
         Velocity, the same everywhere.
     frame : (B, 3) float [px]

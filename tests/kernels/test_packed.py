@@ -57,6 +57,17 @@ def test_an_extent_is_as_an_image_of_that_size(extent, placed, dtype, rng):
         assert_close(images[own].copy(), alone)
 
 
+@pytest.mark.parametrize("count", [1, 63, 64, 65, 127, 200])
+@pytest.mark.parametrize("first", [0, 1, 99])
+def test_any_number_of_events(first, count, placed, spec, dtype, rng):
+    """Windows end where the columns do, and before."""
+    for make in (cases.bin_packed_events, cases.deposit_packed_events):
+        call = make(rng, dtype)
+        call.inputs[:3] = [column[: first + count].copy() for column in call.inputs[:3]]
+        call.inputs[3] = np.array([[first, first + count], [first, first], [0, first + count]], np.int32)
+        assert_close(*call.run(placed), *call.run(spec))
+
+
 @pytest.mark.parametrize("reference", [0, 12, (1 << 31) - 1000])
 def test_times_are_exact_however_late(reference, placed, dtype, rng):
     """A microsecond moves an event by a pixel, close to the last time that a stamp can say."""
@@ -68,6 +79,20 @@ def test_times_are_exact_however_late(reference, placed, dtype, rng):
     inputs = [x, y, stamp, window_ptr, t_ref, motion, frame, np.array([[8, 510]], np.int32)]
     (deposit,) = placed("deposit_packed_events", inputs, [filled((1, 2, 8, 510), dtype, 0)])
     np.testing.assert_array_equal(np.argwhere(deposit), [[0, 0, 3, 3 + k] for k in (0, 1, 5, 499)])
+
+
+@pytest.mark.parametrize("since", [0, 1 << 31, (1 << 32) - 1, 3 << 50])
+def test_clocks_that_have_run_for_long(since, placed, dtype, rng):
+    """Stamps of times modulo 2^32 tell what times say: windows may cross where they begin anew."""
+    call = cases.deposit_packed_events(rng, dtype)
+    time = np.sort(rng.integers(-1500, 1500, len(call.inputs[2])))
+    call.inputs[4][:] = since % (1 << 31)
+    on = rng.integers(0, 2, len(time))
+    call.inputs[2] = ((2 * (time + since) + on) % (1 << 32)).astype(np.uint32)
+    (deposit,) = call.run(placed)
+    call.inputs[4][:] = 1500
+    call.inputs[2] = (2 * (time + 1500) + on).astype(np.uint32)
+    assert_close(deposit, call.run(placed)[0], 1e-15 if placed.device == "cpu" else None)
 
 
 def test_polarities_are_counted_apart(placed, dtype):
