@@ -30,8 +30,9 @@ if TYPE_CHECKING:
     )
     from evqr.errors import BackendError, EvqrError, MissingExtra, RecordingError, StreamChoice, UsageError
     from evqr.events.array import EventArray
-    from evqr.events.batch import EventBatch, PackedEvents
+    from evqr.events.batch import EventBatch
     from evqr.events.buffer import EventBuffer
+    from evqr.events.packed import PackedEvents
     from evqr.events.window import Window
     from evqr.fit.detection import Detection, NotFound, Target
     from evqr.fit.modules import CodeEstimate, NormalEquations
@@ -160,11 +161,9 @@ _HOME = {
         "UsageError",
     ),
     "evqr.events.array": ("EventArray",),
-    "evqr.events.batch": (
-        "EventBatch",
-        "PackedEvents",
-    ),
+    "evqr.events.batch": ("EventBatch",),
     "evqr.events.buffer": ("EventBuffer",),
+    "evqr.events.packed": ("PackedEvents",),
     "evqr.events.window": ("Window",),
     "evqr.fit.detection": (
         "Detection",

@@ -6,10 +6,10 @@ from evqr.fit.image import blur_taps
 from evqr.fit.model import MOMENTS
 
 LAUNCHED = (
-    ("bin_events", {}),
+    ("bin_packed_events", {}),
     ("motion_correlation", {}),
     ("surface_peak", {}),
-    ("deposit_events", {}),
+    ("deposit_packed_events", {}),
     ("lag_operator", {"K": blur_taps(1.0).shape[1]}),
     ("clip_outliers", {}),
     ("reduce_image", {}),

@@ -13,7 +13,8 @@ from numpy.typing import ArrayLike, DTypeLike, NDArray
 from evqr_kernels import make_scratch
 
 if TYPE_CHECKING:
-    from evqr.events.window import Window
+    from evqr.events.batch import EventBatch
+    from evqr.events.packed import PackedEvents
     from evqr_kernels.backend import KernelBackend
 
 
@@ -27,10 +28,7 @@ MOST_KEPT_WITH_ONE = 48
 """Things that are kept at once with one of those, as they work on its buffers."""
 
 FEWEST_EVENTS = 1 << 14
-"""Room for events grows from this in powers of two, so that launches recorded for it are used again."""
-
-MOST_ROOM = 16
-"""A window may lie in room for so many times its events: threads without events cost little."""
+"""Room for events grows from this in powers of two, as all that was recorded is recorded anew for more."""
 
 
 class Mirror:
@@ -112,38 +110,31 @@ class Step(Keeper):
         return self._backend.record(self.launch)
 
 
-class EventSlots:
-    """Room for the events of one window."""
+class EventRoom:
+    """Room on the device for the events of a batch, eight bytes each.
+
+    Attributes
+    ----------
+    capacity : int
+        Events that there is room for.
+    x, y, stamp : (capacity,) uint16, uint16, uint32, on the device
+        Columns of them, as of `PackedEvents`.
+    """
 
     def __init__(self, workspace: Workspace, capacity: int) -> None:
         self.capacity = capacity
-        self._mirrors = [workspace.mirror((capacity,)) for _ in range(4)]
-        self.x, self.y, self.p, self.t = (mirror.device for mirror in self._mirrors)
-        self._window: Window | None = None
-        self._timed: Window | None = None
+        self._mirrors = [workspace.mirror((capacity,), dtype) for dtype in (np.uint16, np.uint16, np.uint32)]
+        self.x, self.y, self.stamp = (mirror.device for mirror in self._mirrors)
+        self._events: PackedEvents | None = None
 
-    def holds(self, window: Window) -> bool:
-        """Whether the events of a window are there, alone or the first of more."""
-        held = self._window
-        if held is None or window is held:
-            return window is held
-        fits = len(window) <= len(held) and self.capacity <= max(FEWEST_EVENTS, MOST_ROOM * len(window))
-        return fits and window.begins_like(held)
-
-    def load(self, window: Window) -> None:
-        """Put the events of a window there."""
-        self._window, self._timed = window, None
-        columns = window.events.x, window.events.y, window.events.p
-        for mirror, values in zip(self._mirrors, columns, strict=False):
-            mirror.host[: len(window)] = values
+    def load(self, events: PackedEvents) -> None:
+        """Bring events there, unless they are there already, alone or the first of more."""
+        if self._events is not None and events.begin(self._events):
+            return
+        self._events = events
+        for mirror, values in zip(self._mirrors, (events.x, events.y, events.stamp), strict=True):
+            mirror.host[: len(events)] = values
             mirror.push()
-
-    def load_times(self, window: Window) -> None:
-        """Put the times of a window there, relative to its middle [us]."""
-        if window is not self._timed:
-            window.write_times(self._mirrors[-1].host[: len(window)])
-            self._mirrors[-1].push()
-            self._timed = window
 
 
 class Workspace(Keeper):
@@ -154,7 +145,7 @@ class Workspace(Keeper):
     def __init__(self, backend: KernelBackend, device: str) -> None:
         self.backend = backend
         self.device = device
-        self._slots: dict[int, EventSlots] = {}  # for good: recorded launches know them by their capacity
+        self._room = EventRoom(self, FEWEST_EVENTS)  # recorded launches know it by its capacity
 
     def empty(self, *shape: int, dtype: DTypeLike = np.float32) -> Any:
         """Make a device array with undefined contents."""
@@ -177,24 +168,15 @@ class Workspace(Keeper):
         """Give a constant table on the device, copied there when it is first asked for."""
         return self.once(key, lambda: self.put(array))
 
-    def events(self, window: Window, times: bool = True) -> EventSlots:
-        """Give the events of a window on the device, until the next window of that size.
+    def events(self, batch: EventBatch) -> EventRoom:
+        """Give the events of a batch on the device, until those of another one are asked for.
 
-        A window that is the beginning of one that is there lies in its room; without ``times`` the times
-        there may be those of the other one.
+        They are brought there once for all that `EventBatch.pick` makes of it.
         """
-        for slots in self._slots.values():
-            if slots.holds(window):
-                break
-        else:
-            capacity = max(FEWEST_EVENTS, 1 << (len(window) - 1).bit_length())
-            if capacity not in self._slots:
-                self._slots[capacity] = EventSlots(self, capacity)
-            slots = self._slots[capacity]
-            slots.load(window)
-        if times:
-            slots.load_times(window)
-        return slots
+        if len(batch.events) > self._room.capacity:
+            self._room = EventRoom(self, 1 << (len(batch.events) - 1).bit_length())
+        self._room.load(batch.events)
+        return self._room
 
     def put(self, array: NDArray[Any]) -> Any:
         """Put an array on the device."""

@@ -1,7 +1,8 @@
 """Windows side by side, of one stream or of many: what the stages work on.
 
 Events go to the device once, however many windows show them, eight bytes each: column and row, and the time
-with the polarity in its last bit.
+with the polarity in its last bit.  Times are modulo 2^31 us there and so need no reference of their own:
+windows of all streams, and of any time, lie side by side.
 """
 
 from __future__ import annotations
@@ -12,31 +13,11 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from evqr.events.packed import PackedEvents
 from evqr.events.window import Window
 
 LONGEST_US = (1 << 31) - 1
-"""Longest stretch of one stream whose times fit their 31 bits [us]."""
-
-
-@dataclass(frozen=True, eq=False)
-class PackedEvents:
-    """Columns of events, eight bytes each.
-
-    Attributes
-    ----------
-    x, y : (E,) uint16 [px]
-        Column and row.
-    stamp : (E,) uint32
-        Twice the time since a reference of the stretch of a stream that the event is of [us], plus 1 where it
-        became brighter.
-    """
-
-    x: NDArray[np.uint16]
-    y: NDArray[np.uint16]
-    stamp: NDArray[np.uint32]
-
-    def __len__(self) -> int:
-        return len(self.stamp)
+"""Longest window: stamps tell times up to 2^30 us from its middle [us]."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -52,7 +33,7 @@ class EventBatch:
     window_ptr : (B, 2) int32
         First event of each window, and the one behind its last.
     t_ref_us : (B,) int32 [us]
-        The middle of each window, since the reference that the stamps of its events have.
+        The middle of each window, modulo 2^31.
     """
 
     windows: tuple[Window, ...]
@@ -77,31 +58,20 @@ class EventBatch:
         Raises
         ------
         ValueError
-            If windows that share events together last longer than 31 bits of microseconds.
+            If a window lasts longer than 31 bits of microseconds.
         """
-        stretches = _stretches(windows)
-        total = sum(stretch.count for stretch in stretches)
-        x, y = np.empty((2, total), np.uint16)
-        stamp = np.empty(total, np.uint32)
-        window_ptr, t_ref_us = np.empty((len(windows), 2), np.int32), np.empty(len(windows), np.int32)
-        begin = 0
+        for window in windows:
+            if window.end_us - window.start_us > LONGEST_US:
+                bounds = f"{window.start_us} us to {window.end_us} us"
+                raise ValueError(f"a window must last at most {LONGEST_US} us, got {bounds}")
+        t_ref_us = np.array([window.middle_us % (1 << 31) for window in windows], np.int32)
+        window_ptr = np.zeros((len(windows), 2), np.int32)
+        stretches, begin = _stretches(windows), 0
         for stretch in stretches:
-            reference_us = min(windows[k].start_us for k in stretch.members)
-            if max(windows[k].end_us for k in stretch.members) - reference_us > LONGEST_US:
-                raise ValueError(f"windows that share events must last at most {LONGEST_US} us together")
-            copied = begin
-            for k in stretch.members:
-                window, first = windows[k], begin + stretch.offsets[k]
-                last = first + len(window)
-                window_ptr[k] = first, last
-                t_ref_us[k] = window.middle_us - reference_us
-                if last > copied:  # the first of these may be there, from the window before
-                    events, new, skip = window.events, slice(copied, last), copied - first
-                    x[new], y[new] = events.x[skip:], events.y[skip:]
-                    _write_stamps(events.t[skip:], events.p[skip:], reference_us, stamp[new])
-                    copied = last
+            for k, offset in stretch.members:
+                window_ptr[k] = begin + offset, begin + offset + len(windows[k])
             begin += stretch.count
-        return cls(tuple(windows), PackedEvents(x, y, stamp), window_ptr, t_ref_us)
+        return cls(tuple(windows), _together(stretches, windows), window_ptr, t_ref_us)
 
     def __len__(self) -> int:
         return len(self.windows)
@@ -128,27 +98,16 @@ class EventBatch:
         )
 
 
-def _write_stamps(
-    t: NDArray[np.int64], p: NDArray[np.int8], reference_us: int, out: NDArray[np.uint32]
-) -> None:
-    """Pack times [us] and polarities."""
-    np.subtract(t, reference_us, out=out, casting="unsafe")
-    np.left_shift(out, 1, out=out)
-    np.bitwise_or(out, p > 0, out=out)
-
-
 class _Stretch:
-    """Events of one stream without a gap, and the windows that lie in it."""
+    """Events of one stream without a gap, and the windows that lie in it, each with its first event there."""
 
     def __init__(self, first: int) -> None:
         self.first = first
         self.count = 0
-        self.members: list[int] = []
-        self.offsets: dict[int, int] = {}
+        self.members: list[tuple[int, int]] = []
 
     def add(self, k: int, first: int, count: int) -> None:
-        self.members.append(k)
-        self.offsets[k] = first - self.first
+        self.members.append((k, first - self.first))
         self.count = max(self.count, first - self.first + count)
 
 
@@ -171,3 +130,24 @@ def _stretches(windows: Sequence[Window]) -> list[_Stretch]:
                 found.append(stretch)
             stretch.add(k, first, len(windows[k]))
     return found
+
+
+def _together(stretches: Sequence[_Stretch], windows: Sequence[Window]) -> PackedEvents:
+    """Give the events of stretches, one behind the other; those of a window that has them all as they are."""
+    total, begin = sum(stretch.count for stretch in stretches), 0
+    for stretch in stretches:
+        for k, _ in stretch.members:
+            if len(windows[k]) == total:
+                return windows[k].packed
+    x, y = np.empty((2, total), np.uint16)
+    stamp = np.empty(total, np.uint32)
+    for stretch in stretches:
+        copied = begin
+        for k, offset in stretch.members:
+            packed, skip = windows[k].packed, copied - begin - offset
+            if len(packed) > skip:  # the first of these may be there, from the window before
+                new = slice(copied, begin + offset + len(packed))
+                x[new], y[new], stamp[new] = packed.x[skip:], packed.y[skip:], packed.stamp[skip:]
+                copied = new.stop
+        begin += stretch.count
+    return PackedEvents(x, y, stamp)

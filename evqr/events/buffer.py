@@ -7,8 +7,10 @@ from collections.abc import Generator
 from typing import NamedTuple, TypeAlias, TypeVar
 
 import numpy as np
+from numpy.typing import NDArray
 
 from evqr.events.array import EventArray
+from evqr.events.packed import write_stamps
 from evqr.events.window import Window
 
 SMALLEST_BLOCK = 1 << 14
@@ -25,6 +27,7 @@ class _Held(NamedTuple):
     """Events ``first`` to ``last - 1`` of a block, whose first event is number ``base`` of the stream."""
 
     block: EventArray
+    stamps: NDArray[np.uint32]
     first: int
     last: int
     base: int
@@ -41,7 +44,8 @@ class EventBuffer:
     of the caller are free again.  When a block is full, what is still wanted of it moves to a new one with as
     much room again: an event is moved about twice at most, however small the chunks and however long it is
     wanted.  Windows are views of blocks.  What a block holds never changes, so windows stay valid, and any
-    number of threads may cut windows while one pushes and forgets.
+    number of threads may cut windows while one pushes and forgets.  Stamps are made once, as events come:
+    most events are in several windows.
 
     Parameters
     ----------
@@ -65,7 +69,7 @@ class EventBuffer:
         self.closed = False
         self._stream = object()
         self._size = width, height
-        self._held = _Held(_room(0, width, height), 0, 0, 0)
+        self._held = _Held(_room(0, width, height), np.empty(0, np.uint32), 0, 0, 0)
         self._known_us: float = -np.inf
         self._forgotten_us: float = -np.inf
 
@@ -124,6 +128,7 @@ class EventBuffer:
         block.x[held.last : end] = events.x
         block.y[held.last : end] = events.y
         block.p[held.last : end] = events.p
+        write_stamps(events, held.stamps[held.last : end])
         self._held = held._replace(last=end)
         if self.first_us is None:
             self.first_us = first_us
@@ -134,10 +139,12 @@ class EventBuffer:
     def _moved(self, held: _Held, count: int) -> _Held:
         """Give the events held in a new block with room for more."""
         live = held.last - held.first
-        block = _room(max(2 * live + count, SMALLEST_BLOCK), *self._size)
+        room = max(2 * live + count, SMALLEST_BLOCK)
+        block, stamps = _room(room, *self._size), np.empty(room, np.uint32)
         old = held.block.cut(held.first, held.last)
         block.t[:live], block.x[:live], block.y[:live], block.p[:live] = old.t, old.x, old.y, old.p
-        return _Held(block, 0, live, held.base + held.first)
+        stamps[:live] = held.stamps[held.first : held.last]
+        return _Held(block, stamps, 0, live, held.base + held.first)
 
     def advance(self, time_us: int) -> None:
         """Say that all events before a time were pushed, though none may have come since long.
@@ -224,8 +231,9 @@ class EventBuffer:
             raise ValueError(f"a window to {end_us} us ends after what has come, up to {self._known_us} us")
         held = self._held
         first, last = held.place_of(start_us), held.place_of(end_us)
-        origin = self._stream, held.base + first
-        return Window(held.block.cut(first, max(first, last)), start_us, end_us, origin=origin)
+        last = max(first, last)
+        origin, stamps = (self._stream, held.base + first), held.stamps[first:last]
+        return Window(held.block.cut(first, last), start_us, end_us, origin=origin, stamps=stamps)
 
     def answer(self, asking: Asking[T]) -> T:
         """Run work that asks for windows, all of whose events are here.

@@ -8,6 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from evqr.events.array import EventArray
+from evqr.events.packed import PackedEvents, write_stamps
 
 
 class Window:
@@ -24,15 +25,24 @@ class Window:
     origin : (object, int), optional
         The stream that the events were cut from, and the number of the first of them there: windows that
         share it share their first events. None: unknown.
+    stamps : (E,) uint32, optional
+        What `write_stamps` makes of the events; None: made when they are packed.
     """
 
     def __init__(
-        self, events: EventArray, start_us: int, end_us: int, *, origin: tuple[object, int] | None = None
+        self,
+        events: EventArray,
+        start_us: int,
+        end_us: int,
+        *,
+        origin: tuple[object, int] | None = None,
+        stamps: NDArray[np.uint32] | None = None,
     ) -> None:
         self.events = events
         self.start_us = start_us
         self.end_us = end_us
         self.origin = origin
+        self._stamps = stamps
 
     def __len__(self) -> int:
         return len(self.events)
@@ -57,22 +67,14 @@ class Window:
         """Reference time of the window: its middle, to the microsecond [us]."""
         return (self.start_us + self.end_us) // 2
 
-    def begins_like(self, other: Window) -> bool:
-        """Tell whether the shorter of the two is the beginning of the other, so that it has the same events.
-
-        Parameters
-        ----------
-        other : Window
-            Of any stream.
-
-        Returns
-        -------
-        alike : bool
-            False where it is not known.
-        """
-        if self.origin is None or other.origin is None:
-            return self is other
-        return self.origin == other.origin
+    @cached_property
+    def packed(self) -> PackedEvents:
+        """Its events, eight bytes each; views of what the stream holds where they come from one."""
+        stamps = self._stamps
+        if stamps is None:
+            stamps = np.empty(len(self), np.uint32)
+            write_stamps(self.events, stamps)
+        return PackedEvents(self.events.x, self.events.y, stamps, self.origin)
 
     @cached_property
     def x(self) -> NDArray[np.float32]:
@@ -87,24 +89,12 @@ class Window:
     @cached_property
     def t(self) -> NDArray[np.float32]:
         """Times (E,), ascending [s]."""
-        times = np.empty(len(self), np.float32)
-        self.write_times(times)
-        return times * np.float32(1e-6)
+        return (self.events.t - self.middle_us).astype(np.float32) * np.float32(1e-6)
 
     @cached_property
     def p(self) -> NDArray[np.float32]:
         """Polarities (E,), -1 or +1."""
         return self.events.p.astype(np.float32)
-
-    def write_times(self, out: NDArray[np.float32]) -> None:
-        """Write the times, relative to the middle, to an array of the caller's.
-
-        Parameters
-        ----------
-        out : (E,) float32 [us]
-            Overwritten.
-        """
-        np.subtract(self.events.t, self.middle_us, out=out, casting="unsafe")
 
     def keep(self, mask: NDArray[np.bool_]) -> Window:
         """Give the window with only some of its events.

@@ -3,50 +3,62 @@
 from __future__ import annotations
 
 import functools
+import operator
 from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from evqr.events.window import Window
+from evqr.events.batch import EventBatch
 from evqr.fit.region import Region
 from evqr.motion import Motion
-from evqr.workspace import EventSlots, Images, Step, Workspace
+from evqr.workspace import EventRoom, Images, Step, Workspace
 
 
 class Deposit(Step):
-    """Events, transported to the middle of their window, on cells (1, 2, height, width)."""
+    """Events, transported to the middle of their windows, on cells (B, 2, height, width)."""
 
-    def __init__(self, events: EventSlots, height: int, width: int, workspace: Workspace) -> None:
+    def __init__(self, events: EventRoom, count: int, height: int, width: int, workspace: Workspace) -> None:
         super().__init__(workspace.backend)
         self._events = events
-        self._ptr, self._motion = workspace.mirror((2,), np.int32), workspace.mirror((1, 2))
-        self._frame = workspace.mirror((1, 3))
-        self.cells = workspace.empty(1, 2, height, width)
-        self._written: tuple[Window, Motion, Region] | None = None
+        self._ptr, self._extent = (workspace.mirror((count, 2), np.int32) for _ in range(2))
+        self._t_ref, self._motion = workspace.mirror((count,), np.int32), workspace.mirror((count, 2))
+        self._frame = workspace.mirror((count, 3))
+        self._frame.host[:] = 1.0  # no cell is without a size, of rows without a window either
+        self.cells = workspace.empty(count, 2, height, width)
+        self._written: tuple[Any, ...] = ()
 
-    def holds(self, window: Window, motion: Motion, region: Region) -> bool:
+    def holds(self, batch: EventBatch, motions: Sequence[Motion], regions: Sequence[Region]) -> bool:
         """Whether that is what was written last, so that the cells need not be made again."""
-        last = self._written
-        return last is not None and last[0] is window and last[1] is motion and last[2] is region
+        given = *batch.windows, *motions, *regions
+        return len(given) == len(self._written) and all(map(operator.is_, given, self._written))
 
-    def write(self, window: Window, motion: Motion, region: Region) -> None:
-        """Say which events, how they move and where the cells are; the step is to be run then."""
-        if not motion.uniform:
+    def write(self, batch: EventBatch, motions: Sequence[Motion], regions: Sequence[Region]) -> None:
+        """Say which events, how they move and where the cells are; the step is to be run then.
+
+        There may be fewer windows than there is room for; those cells stay empty.
+        """
+        if not all(motion.uniform for motion in motions):
             raise NotImplementedError("events are deposited for motions of 2 parameters, got 6")
-        self._written = window, motion, region
-        self._ptr.write((0, len(window)))
-        self._motion.write(motion.velocity * 1e-6)  # times on the device are in microseconds
-        self._frame.write((region.x + 0.5, region.y + 0.5, region.cell))
+        self._written = *batch.windows, *motions, *regions
+        count = len(batch)
+        self._ptr.host[:count], self._ptr.host[count:] = batch.window_ptr, 0
+        self._t_ref.host[:count] = batch.t_ref_us
+        for k, (motion, region) in enumerate(zip(motions, regions, strict=True)):
+            self._motion.host[k] = motion.velocity * 1e-6  # times on the device are in microseconds
+            self._frame.host[k] = region.x + 0.5, region.y + 0.5, region.cell
+            self._extent.host[k] = region.height, region.width
+        for mirror in (self._ptr, self._t_ref, self._motion, self._frame, self._extent):
+            mirror.push()
 
     def launch(self) -> None:
         """Launch the kernels one by one."""
         events = self._events
         self._backend.clear(self.cells)
-        self._backend.deposit_events(
-            events.x, events.y, events.t, events.p, self._ptr.device, self._motion.device, self._frame.device,
-            self.cells,
+        self._backend.deposit_packed_events(
+            events.x, events.y, events.stamp, self._ptr.device, self._t_ref.device, self._motion.device,
+            self._frame.device, self._extent.device, self.cells,
         )  # fmt: skip
 
 
@@ -78,20 +90,22 @@ class Sharpen(Step):
 
 
 def depositing(
-    window: Window, motion: Motion, region: Region, *, workspace: Workspace
+    batch: EventBatch, motions: Sequence[Motion], regions: Sequence[Region], *, workspace: Workspace
 ) -> tuple[Deposit, bool]:
-    """Make ready to deposit a window's events on a region, over the last deposit on one of this size.
+    """Make ready to deposit windows' events, each on a region: over the last deposit on any of that size.
 
     Also tells whether the step is to be run: not where that last deposit was the same.
     """
-    events = workspace.events(window)
+    events, count = workspace.events(batch), 1 << (len(batch) - 1).bit_length()
+    height = max(region.height for region in regions)
+    width = max(region.width for region in regions)
     step = workspace.once(
-        ("deposit", region.height, region.width, events.capacity),
-        lambda: Deposit(events, region.height, region.width, workspace),
+        ("deposit", count, height, width, events.capacity),
+        lambda: Deposit(events, count, height, width, workspace),
     )
-    if step.holds(window, motion, region):
+    if step.holds(batch, motions, regions):
         return step, False
-    step.write(window, motion, region)
+    step.write(batch, motions, regions)
     return step, True
 
 

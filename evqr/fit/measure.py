@@ -11,6 +11,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 
 from evqr.config import ReadConfig
+from evqr.events.batch import EventBatch
 from evqr.events.window import Window
 from evqr.fit.align import Align, Alignment, fine_levels, judged
 from evqr.fit.detection import NO_TIMINGS, Detection, Target
@@ -117,7 +118,8 @@ def measuring(
     step : Measure
         To be run and read, before it is made ready for another window.
     """
-    deposit, from_events = depositing(window, target.motion, region, workspace=workspace)
+    alone = EventBatch.of([window])
+    deposit, from_events = depositing(alone, [target.motion], [region], workspace=workspace)
     step = deposit.once(
         ("measure", from_events, target.space, cfg.align, cfg.modules),
         lambda: Measure(deposit, from_events, target.space, cfg, workspace),

@@ -206,7 +206,8 @@ def _complete(
 def _with_lags(window: Window, found: Refinement, cfg: ReadConfig, *, workspace: Workspace) -> Target:
     """Estimate the time constants of the pixels for a candidate, and its pose with their lags undone."""
     target, region = found.target, found.region
-    deposit, fresh = depositing(window, target.motion, region, workspace=workspace)
+    alone = EventBatch.of([window])
+    deposit, fresh = depositing(alone, [target.motion], [region], workspace=workspace)
     if fresh:
         deposit.run()
     lag_px, aligned = estimate_lag(

@@ -17,6 +17,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from evqr.config import FinderConfig, SearchPass
+from evqr.events.batch import EventBatch
 from evqr.events.window import Window
 from evqr.fit.image import Deposit, Sharpen
 from evqr.fit.region import Region
@@ -25,7 +26,7 @@ from evqr.search.hypothesis import Hypothesis, Layout, Matcher
 from evqr.search.singles import Singles
 from evqr.search.templates import ANGLES, TERMS, bank_along, spans
 from evqr.search.triples import Triples
-from evqr.workspace import EventSlots, Images, Workspace
+from evqr.workspace import EventRoom, Images, Workspace
 
 BLUR_CELLS = 0.55
 """Blur of the finest image beyond that of the deposit [cells]."""
@@ -106,7 +107,7 @@ class _Search:
     """The search in windows of one size of image: its levels, and what runs over them."""
 
     def __init__(
-        self, events: EventSlots, height: int, width: int, cfg: FinderConfig, search_pass: SearchPass,
+        self, events: EventRoom, height: int, width: int, cfg: FinderConfig, search_pass: SearchPass,
         workspace: Workspace,
     ) -> None:  # fmt: skip
         backend, half = workspace.backend, cfg.half
@@ -139,7 +140,7 @@ class _Search:
         shapes = [level.image.device.shape[1:] for level in self.pyramid]
         cell, (rows, columns) = self.pyramid[0].cell, shapes[0]
         self._region = Region(-0.5, -0.5, cell, rows, columns)
-        self._deposit = Deposit(events, rows, columns, workspace)
+        self._deposit = Deposit(events, 1, rows, columns, workspace)
         self._sharpen = Sharpen(self._deposit.cells, 1, BLUR_CELLS, workspace)
         slots = sum(rows for rows, _ in shapes)
         a_row = cfg.peaks_a_row
@@ -199,7 +200,7 @@ class _Search:
         if lag_px is None:
             on, off = self._cfg.lag_cells
             lag_px = on * self._region.cell, off * self._region.cell
-        self._deposit.write(window, motion, self._region)
+        self._deposit.write(EventBatch.of([window]), [motion], [self._region])
         self._sharpen.write(motion, self._region, [lag_px])
         self._run()
         peaks = self._peaks.read()[0]
@@ -261,7 +262,7 @@ def find_hypotheses(
         Its images last until the next search.
     """
     search_pass = search_pass or cfg.passes[-1]
-    events = workspace.events(window)
+    events = workspace.events(EventBatch.of([window]))
     search = workspace.once(
         ("search", events.capacity, window.height, window.width, cfg, search_pass),
         lambda: _Search(events, window.height, window.width, cfg, search_pass, workspace),

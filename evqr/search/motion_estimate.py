@@ -16,12 +16,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from evqr.config import MotionConfig
+from evqr.events.batch import EventBatch
 from evqr.events.buffer import Asking
 from evqr.events.window import Window
 from evqr.motion import Motion
 from evqr.reason import Reason
 from evqr.values import Value
-from evqr.workspace import EventSlots, Workspace
+from evqr.workspace import EventRoom, Workspace
 
 MOST_PROBES, LONGER = 4, 4
 """Windows tried while the speed is unknown, each so many times as long as the one before."""
@@ -56,11 +57,11 @@ class _Correlator:
     """Correlates the halves of windows of one size of image, over one square of shifts."""
 
     def __init__(
-        self, events: EventSlots, height: int, width: int, reduction: int, radius: int, half: float,
+        self, events: EventRoom, height: int, width: int, reduction: int, radius: int, half: float,
         cfg: MotionConfig, workspace: Workspace,
     ) -> None:  # fmt: skip
         backend, shifts = workspace.backend, 2 * radius + 1
-        self._ptr = workspace.mirror((3,), np.int32)
+        self._ptr = workspace.mirror((2, 2), np.int32)
         self._peak, self._energy = workspace.mirror((1, 3)), workspace.mirror((1, 2))
         halves = workspace.empty(2, height, width)
         pair = halves.reshape((1, 2, height, width))
@@ -70,7 +71,7 @@ class _Correlator:
 
         def launch() -> None:
             backend.clear(halves)
-            backend.bin_events(events.x, events.y, events.p, self._ptr.device, reduction, halves)
+            backend.bin_packed_events(events.x, events.y, events.stamp, self._ptr.device, reduction, halves)
             backend.motion_correlation(pair, cfg.clip, radius, *scratch, surface, self._energy.device)
             backend.surface_peak(surface, half, *blurred, self._peak.device)
 
@@ -78,7 +79,7 @@ class _Correlator:
 
     def __call__(self, middle: int, count: int) -> tuple[NDArray[np.float64], float]:
         """Give the shift (x, y) of highest correlation [binned px], and that correlation, normalised."""
-        self._ptr.write((0, middle, count))
+        self._ptr.write([(0, middle), (middle, count)])
         self._run()
         x, y, highest = self._peak.read()[0].tolist()
         first, second = self._energy.read()[0].tolist()
@@ -114,7 +115,7 @@ def estimate_motion(
     half = max(cfg.blur_px / reduction, LEAST_HALF)
     radius = (reach or cfg.reach_px) + math.ceil(half)
     height, width = -(-window.height // reduction), -(-window.width // reduction)
-    events = workspace.events(window, times=False)
+    events = workspace.events(EventBatch.of([window]))
     correlate = workspace.once(
         ("motion", events.capacity, height, width, reduction, radius, cfg),
         lambda: _Correlator(events, height, width, reduction, radius, half, cfg, workspace),

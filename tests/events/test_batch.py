@@ -21,11 +21,11 @@ def stream(seed, count=400, start_us=0):
 def unpacked(batch, k):
     """Columns, rows, times from the middle and polarities of a window of a batch."""
     first, last = batch.window_ptr[k]
-    stamp = batch.events.stamp[first:last].astype(np.int64)
+    stamp = batch.events.stamp[first:last]
     return (
         batch.events.x[first:last],
         batch.events.y[first:last],
-        (stamp >> 1) - batch.t_ref_us[k],
+        (stamp - (np.uint32(batch.t_ref_us[k]) << np.uint32(1))).view(np.int32) >> 1,
         np.where(stamp & 1, 1, -1),
     )
 
@@ -35,8 +35,8 @@ bounds = st.tuples(st.integers(-50, 1050), st.integers(0, 400)).map(lambda b: (b
 
 @given(st.lists(st.tuples(st.integers(0, 2), bounds), max_size=12))
 def test_each_window_has_its_events_and_shared_ones_are_packed_once(cuts):
-    arrays = [stream(seed, start_us=(0, 10**12, -(10**6))[seed]) for seed in range(3)]
-    shift = (0, 10**12, -(10**6))
+    shift = (1 << 31) - 500, (1 << 32) - 500, -500  # where the stamps of times begin anew
+    arrays = [stream(seed, start_us=shift[seed]) for seed in range(3)]
     buffers = [EventBuffer.of(events) for events in arrays]
     windows = [buffers[k].window(shift[k] + a, shift[k] + b) for k, (a, b) in cuts]
     batch = EventBatch.of(windows)
@@ -77,10 +77,23 @@ def test_eight_bytes_an_event():
     assert events.x.nbytes + events.y.nbytes + events.stamp.nbytes == 8 * len(events)
 
 
-def test_a_stretch_that_is_too_long_is_refused():
+def test_a_window_that_has_all_events_gives_them_as_they_are():
+    """Views of what the stream holds, so that nothing is copied."""
+    buffer = EventBuffer.of(stream(4))
+    long, short, other = (buffer.window(a, b) for a, b in ((100, 600), (100, 300), (601, 700)))
+    batch = EventBatch.of([short, long, short])
+    assert batch.events is long.packed and EventBatch.of([short]).events is short.packed
+    assert np.shares_memory(batch.events.x, long.events.x)
+    assert np.shares_memory(batch.events.stamp, short.packed.stamp)
+    assert short.packed.begin(long.packed) and not long.packed.begin(short.packed)
+    assert not other.packed.begin(long.packed)
+    assert not np.shares_memory(EventBatch.of([long, other]).events.x, long.events.x)
+
+
+def test_a_window_that_is_too_long_is_refused():
     events = stream(6)
     window = Window(events, 0, LONGEST_US + 1)
-    with pytest.raises(ValueError, match="at most 2147483647 us"):
+    with pytest.raises(ValueError, match="at most 2147483647 us, got 0 us to 2147483648 us"):
         EventBatch.of([window])
 
 

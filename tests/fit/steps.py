@@ -1,13 +1,14 @@
 """Single steps of the solver, which runs them as parts of larger ones."""
 
 from evqr.config import AlignConfig
+from evqr.events.batch import EventBatch
 from evqr.fit.image import Sharpen, depositing
 from evqr.fit.modules import Equations
 
 
 def deposit(window, motion, region, *, workspace):
     """Events on a region's cells."""
-    step, fresh = depositing(window, motion, region, workspace=workspace)
+    step, fresh = depositing(EventBatch.of([window]), [motion], [region], workspace=workspace)
     if fresh:
         step.run()
     return step

@@ -6,6 +6,7 @@ from scenes import at, middle_us, motion_at, scene, window_of
 from steps import deposit, normal_equations, sharpen
 
 from evqr.config import ReadConfig
+from evqr.events.batch import EventBatch
 from evqr.fit.align import align, fine_levels
 from evqr.fit.detection import Target
 from evqr.fit.image import depositing
@@ -98,7 +99,7 @@ def test_whole_windows_run_as_one_captured_graph(made, workspace):
     time = middle_us(made)
     window, target, region = known(made, time)
     first = measure(window, target, region, CONFIG, workspace=workspace)
-    events, _ = depositing(window, target.motion, region, workspace=workspace)
+    events, _ = depositing(EventBatch.of([window]), [target.motion], [region], workspace=workspace)
     step = Measure(events, True, SPACE, CONFIG, workspace)
     solution, solve = solving(step, first.equations, workspace)
     solve()  # loads what nothing else has used
@@ -107,7 +108,8 @@ def test_whole_windows_run_as_one_captured_graph(made, workspace):
         solve()
     for moment in (time, time + 400.0):
         window, target, region = known(made, moment)
-        assert depositing(window, target.motion, region, workspace=workspace)[0] is events
+        batch = EventBatch.of([window])
+        assert depositing(batch, [target.motion], [region], workspace=workspace)[0] is events
         step.write(target, region)
         solution._q.write(solution._start)
         wp.capture_launch(capture.graph)

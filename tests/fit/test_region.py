@@ -26,8 +26,11 @@ SPACE = qr.space(2)
 
 def window_with(x, y, t, p, seconds=1e-3):
     half = round(seconds * 5e5)
-    columns = (np.array(c, np.float32) for c in (1000.0 + 1e6 * np.array(t), x, y, p))
-    return Window(EventArray(*columns, 320, 240), 1000 - half, 1000 + half)
+    columns = zip(
+        (1000.0 + 1e6 * np.array(t), x, y, p), (np.int64, np.uint16, np.uint16, np.int8), strict=True
+    )
+    arrays = (np.round(column).astype(dtype) for column, dtype in columns)
+    return Window(EventArray(*arrays, 320, 240), 1000 - half, 1000 + half)
 
 
 def centre_of(image):
@@ -108,7 +111,7 @@ def test_polarity_is_the_sign_of_an_event(workspace):
 
 def test_moving_events_meet_at_the_middle_of_the_window(workspace):
     """An edge that passes (60, 50) at the middle, seen at five times: one place, five times the mass."""
-    region, velocity = Region(10.0, 20.0, 2.0, 48, 64), np.array([3000.0, -1000.0])
+    region, velocity = Region(10.0, 20.0, 2.0, 48, 64), np.array([10000.0, -5000.0])
     t = np.array([-4e-4, -2e-4, 0.0, 2e-4, 4e-4])
     moving = window_with(60.0 + velocity[0] * t, 50.0 + velocity[1] * t, t, np.ones(5))
     together = shown(moving, Motion(velocity), region, workspace)

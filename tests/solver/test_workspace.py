@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 
 from evqr.events.array import EventArray
+from evqr.events.batch import EventBatch
 from evqr.events.buffer import EventBuffer
 from evqr.events.window import make_window
 from evqr.workspace import Step, Workspace
@@ -32,23 +33,33 @@ def rng():
     return np.random.default_rng(5)
 
 
-def assert_there(slots, window):
-    count = len(window)
-    for there, column in ((slots.x, window.x), (slots.y, window.y), (slots.p, window.p)):
-        np.testing.assert_array_equal(there[:count], column)
-    np.testing.assert_array_equal(slots.t[:count], window.events.t - window.middle_us)
+def assert_there(room, batch):
+    for there, column in (
+        (room.x, batch.events.x),
+        (room.y, batch.events.y),
+        (room.stamp, batch.events.stamp),
+    ):
+        np.testing.assert_array_equal(there[: len(batch.events)], column)
+
+
+def of(*windows):
+    return EventBatch.of(windows)
+
+
+def spoil(room):
+    """Whoever loads again finds another value there."""
+    room.x[0] = 777
 
 
 def test_windows_of_one_beginning_share_their_events(workspace, events):
     buffer = EventBuffer.of(events)
     long, short = buffer.window(500, 3500), buffer.window(500, 1500)
-    slots = workspace.events(long)
-    slots.x[0] = -7.0  # whoever loads again finds another value there
-    assert workspace.events(short) is slots
-    assert slots.x[0] == -7.0
-    np.testing.assert_array_equal(slots.t[: len(short)], short.events.t - short.middle_us)
-    assert_there(workspace.events(buffer.window(501, 1500)), buffer.window(501, 1500))
-    assert_there(workspace.events(buffer.window(500, 3600)), buffer.window(500, 3600))
+    room = workspace.events(of(long))
+    spoil(room)
+    assert workspace.events(of(short)) is workspace.events(of(short, long)) is room
+    assert room.x[0] == 777
+    assert_there(workspace.events(of(buffer.window(501, 1500))), of(buffer.window(501, 1500)))
+    assert_there(workspace.events(of(long)), of(long))
 
 
 @pytest.mark.parametrize("chunk", [1, 7, 600, 2500])
@@ -57,23 +68,42 @@ def test_windows_share_their_events_across_chunks(chunk, workspace, events):
     for k in range(0, COUNT, chunk):
         buffer.push(events.cut(k, k + chunk))
     buffer.close()
-    slots = workspace.events(buffer.window(500, 3500))
-    slots.x[0] = -7.0
-    assert workspace.events(buffer.window(500, 1500)).x[0] == -7.0
-    assert_there(workspace.events(buffer.window(501, 1500)), buffer.window(501, 1500))
+    spoil(workspace.events(of(buffer.window(500, 3500))))
+    assert workspace.events(of(buffer.window(500, 1500))).x[0] == 777
+    assert_there(workspace.events(of(buffer.window(501, 1500))), of(buffer.window(501, 1500)))
+
+
+def test_a_batch_is_loaded_once_for_all_that_is_picked_of_it(workspace, events):
+    batch = of(make_window(events, 0, 50), make_window(events, 20, 90))
+    room = workspace.events(batch)
+    spoil(room)
+    for picked in (batch.pick([1]), batch.pick([0, 0, 1]), batch.pick([])):
+        assert workspace.events(picked).x[0] == 777
+    assert_there(workspace.events(of(batch.windows[0])), of(batch.windows[0]))
+    assert_there(workspace.events(batch), batch)
 
 
 def test_a_window_is_loaded_once(workspace, events):
     window = make_window(events, 0, 50)
-    slots = workspace.events(window)
-    slots.x[0] = -7.0
-    assert workspace.events(window).x[0] == -7.0
+    spoil(workspace.events(of(window)))
+    assert workspace.events(of(window)).x[0] == 777
+
+
+def test_room_grows_in_powers_of_two_and_is_kept(workspace, rng):
+    def window(count):
+        t, x = np.arange(count, dtype=np.int64), np.ones(count, np.uint16)
+        return make_window(EventArray(t, x, x, x.astype(np.int8), 100, 100), 0, count)
+
+    small = workspace.events(of(window(10)))
+    large = workspace.events(of(window(20_000)))
+    assert small.capacity < large.capacity == 1 << 15
+    assert workspace.events(of(window(10))) is workspace.events(of(window(1 << 15))) is large
 
 
 @pytest.mark.parametrize("other", ["polarity", "every second", "filled again"])
 def test_other_events_are_not_taken_for_the_same(other, workspace, events):
     """Windows made of arrays say nothing about what else lies in them."""
-    workspace.events(make_window(events, 0, COUNT))
+    workspace.events(of(make_window(events, 0, COUNT)))
     e = events
     if other == "polarity":
         e = EventArray(e.t, e.x, e.y, -e.p, 100, 100)
@@ -81,8 +111,8 @@ def test_other_events_are_not_taken_for_the_same(other, workspace, events):
         e = EventArray(e.t[::2], e.x[::2], e.y[::2], e.p[::2], 100, 100)
     else:
         e.x[:] = 7
-    window = make_window(e, 0, COUNT)
-    assert_there(workspace.events(window), window)
+    batch = of(make_window(e, 0, COUNT))
+    assert_there(workspace.events(batch), batch)
 
 
 # ---- what is kept

@@ -1,0 +1,66 @@
+"""Events of eight bytes, as kernels take them."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from evqr.events.array import EventArray
+
+
+@dataclass(frozen=True, eq=False)
+class PackedEvents:
+    """Columns of events, eight bytes each.
+
+    Attributes
+    ----------
+    x, y : (E,) uint16 [px]
+        Column and row.
+    stamp : (E,) uint32
+        Twice the time [us], modulo 2^32, plus 1 where it became brighter.
+    origin : (object, int), optional
+        The stream that all of them were cut from, side by side, and the number of the first of them there;
+        None: unknown, or of several.
+    """
+
+    x: NDArray[np.uint16]
+    y: NDArray[np.uint16]
+    stamp: NDArray[np.uint32]
+    origin: tuple[object, int] | None = None
+
+    def __len__(self) -> int:
+        return len(self.stamp)
+
+    def begin(self, others: PackedEvents) -> bool:
+        """Tell whether these are the first of others, or all of them.
+
+        Parameters
+        ----------
+        others : PackedEvents
+            Of any stream.
+
+        Returns
+        -------
+        alike : bool
+            False where it is not known.
+        """
+        if self.origin is None or len(self) > len(others):
+            return self is others
+        return self.origin == others.origin
+
+
+def write_stamps(events: EventArray, out: NDArray[np.uint32]) -> None:
+    """Write times and polarities as kernels take them.
+
+    Parameters
+    ----------
+    events : EventArray
+        E events.
+    out : (E,) uint32
+        Overwritten: twice the time [us], modulo 2^32, plus 1 where it became brighter.
+    """
+    np.copyto(out, events.t, casting="unsafe")  # modulo 2^32
+    np.left_shift(out, 1, out=out)
+    np.bitwise_or(out, events.p > 0, out=out)
