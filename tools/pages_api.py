@@ -24,6 +24,8 @@ class Page:
     title: str
     introduction: str
     module: str
+    general: tuple[tuple[str, str], ...] = ()
+    """Sections before the lists, each with the module whose own documentation stands there."""
 
 
 SUBJECTS = {
@@ -63,15 +65,20 @@ events with their truth, as `from evqr.simulate import simulate`, say. `evqr sim
         introduction="""\
 `evqr_kernels` knows nothing of codes: arrays in, arrays out, a slow plain NumPy specification beside fast
 backends in Warp and Taichi. Its functions check their arguments and may allocate; the methods of
-`get_backend(...)` with the same names write to buffers that you own, unchecked. `help(evqr_kernels.ops)` says
-what holds for all of them: shapes, units, errors, cost and determinism. A tutorial is [A front end of your
-own](../tutorials/front-end.md).
-
-Those that have an adjoint are differentiable functions in `evqr_kernels.torch` and `evqr_kernels.jax` too
-(extras `torch`, `jax`); `help` of these modules says what differs there.""",
+`get_backend(...)` with the same names write to buffers that you own, unchecked. Those that have an adjoint
+are differentiable functions in `evqr_kernels.torch` and `evqr_kernels.jax` too (extras `torch`, `jax`). A
+tutorial is [A front end of your own](../tutorials/front-end.md). `help(evqr_kernels.ops)`, say, prints what
+stands here without the site.""",
         module="evqr_kernels",
+        general=(
+            ("What holds for every operation", "evqr_kernels.ops"),
+            ("In PyTorch", "evqr_kernels.torch"),
+            ("In JAX", "evqr_kernels.jax"),
+        ),
     ),
 }
+
+WITHOUT_MEMBERS = ("    options:", "      members: false", "      show_root_heading: false")
 
 CONSTANTS = {
     "PRESETS": "Sensors by name: clean, slow, fast, hard.",
@@ -113,6 +120,8 @@ def api_page(page: Page) -> str:
     """Write a page."""
     module = importlib.import_module(page.module)
     lines = [f"# {page.title}", "", page.introduction]
+    for heading, documented in page.general:
+        lines += ["", f"## {heading}", "", f"::: {documented}", *WITHOUT_MEMBERS]
     for subject, names in names_of(page).items():
         lines += ["", f"## {subject}", "", "| name | what |", "|---|---|"]
         for name in names:

@@ -19,39 +19,43 @@ stderr. What the exit statuses mean is on the page [Errors and reasons](errors.m
 def commands_page() -> str:
     """Write the page."""
     context = click.Context(evqr, info_name="evqr")
-    return "\n".join([INTRODUCTION, *_group(evqr, context, depth=2)])
+    return "\n".join(
+        [INTRODUCTION, "", *_command(evqr, context, depth=2), *_commands(evqr, context, depth=2)]
+    )
 
 
-def _group(group: click.Group, context: click.Context, depth: int) -> Iterator[str]:
+def _commands(group: click.Group, context: click.Context, depth: int) -> Iterator[str]:
+    """Tell of the commands of a group, and of those of groups in it."""
     for name in group.list_commands(context):
         command = group.get_command(context, name)
         assert command is not None
         inner = click.Context(command, info_name=name, parent=context)
-        yield f"{'#' * depth} {inner.command_path}"
-        yield ""
-        for paragraph in (command.help or "").split("\n\n"):
-            yield from (" ".join(paragraph.split()), "")
+        yield from _command(command, inner, depth)
         if isinstance(command, click.Group):
-            yield from _group(command, inner, depth + 1)
-        else:
-            yield from _command(command, inner)
+            yield from _commands(command, inner, depth + 1)
 
 
-def _command(command: click.Command, context: click.Context) -> Iterator[str]:
+def _command(command: click.Command, context: click.Context, depth: int) -> Iterator[str]:
+    """Tell of one command: what it does, how it is called, its options, and what its help ends with."""
+    yield from (f"{'#' * depth} {context.command_path}", "")
+    for paragraph in (command.help or "").split("\n\n"):
+        yield from (" ".join(paragraph.split()), "")
     pieces = " ".join(command.collect_usage_pieces(context))
     yield from ("```text", f"{context.command_path} {pieces}", "```", "")
-    options = [each for each in command.params if isinstance(each, click.Option) and not each.hidden]
-    if options:
-        yield from ("| option | what |", "|---|---|")
-        for option in options:
-            record = option.get_help_record(context)
-            assert record is not None
-            yield f"| {_code(record[0])} | {_cell(record[1])} |"
-        yield ""
-    lines = [line.strip() for line in (command.epilog or "").replace("\b", "").splitlines()]
-    shown = [line for line in lines if line and line != "Examples:"]
+    records = [
+        option.get_help_record(context) for option in command.params if isinstance(option, click.Option)
+    ]
+    shown = [record for record in records if record is not None]
     if shown:
-        yield from ("```sh", *shown, "```", "")
+        yield from ("| option | what |", "|---|---|")
+        yield from (f"| {_code(name)} | {_cell(what)} |" for name, what in shown)
+        yield ""
+    for section in (command.epilog or "").split("\b\n"):
+        heading, *lines = section.strip().splitlines() or [""]
+        if lines:
+            language = "sh" if heading == "Examples:" else "text"
+            text = (line.removeprefix("  ") for line in lines)
+            yield from (heading, "", f"```{language}", *text, "```", "")
 
 
 def _code(text: str) -> str:

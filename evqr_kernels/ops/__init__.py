@@ -19,13 +19,12 @@ differentiated, [1] none, [any] what the caller likes, [of name] that of another
 
 **Raises.**
 
-TypeError            what is no array or cannot be read in place, or is of the wrong dtype
-ValueError           a wrong shape, layout or name, a setting or index out of range (NaN is out of every range
-                     that begins somewhere), a device that the backend does not have, an ``out`` that is
-                     read-only, more than 2^30 events, or more than 2^31 - 1 elements of an array, scratch
-                     included
-BackendUnavailable   a backend that cannot be loaded here
-OperationRefused     an operation, dtype or device that the backend refuses, with its reason
+- `TypeError`: what is no array or cannot be read in place, or is of the wrong dtype.
+- `ValueError`: a wrong shape, layout or name, a setting or index out of range (NaN is out of every range that
+  begins somewhere), a device that the backend does not have, an ``out`` that is read-only, more than 2^30
+  events, or more than 2^31 - 1 elements of an array, scratch included.
+- `BackendUnavailable`: a backend that cannot be loaded here.
+- `OperationRefused`: an operation, dtype or device that the backend refuses, with its reason.
 
 **Cost** counts what Warp's and Taichi's kernels do, and the scratch that a call allocates beside its results,
 of the call's float type unless said otherwise.  NumPy's code is the specification, written to be read, and
@@ -35,11 +34,11 @@ takes seconds; they are kept on disk.
 
 **Determinism** is of one call repeated on one device, with one backend.
 
-bit for bit  Each number is the work of one thread, in one order; where threads share a sum, each has a part,
-             and one adds the parts up, in order.  A window, or pose, has the same result alone, in a batch
-             and in any place of it.
-atomics      Threads add to one image.  On a GPU their order differs from run to run, and results by rounding.
-             On a CPU one thread adds a window's events in order: bit for bit, and as in any batch.
+- *bit for bit*: Each number is the work of one thread, in one order; where threads share a sum, each has a
+  part, and one adds the parts up, in order.  A window, or pose, has the same result alone, in a batch and in
+  any place of it.
+- *atomics*: Threads add to one image.  On a GPU their order differs from run to run, and results by rounding.
+  On a CPU one thread adds a window's events in order: bit for bit, and as in any batch.
 
 Backends and devices agree with each other to rounding.
 """
