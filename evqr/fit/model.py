@@ -193,16 +193,19 @@ def _derivatives(
     space: CodeSpace, down: _Axis, across: _Axis, rows: NDArray[np.intp], columns: NDArray[np.intp]
 ) -> tuple[NDArray[np.float64], ...]:
     """L_u, L_v, L_uu, L_uv and L_vv at some samples (S,), what is not known taken for light."""
-    reach, quiet = down.reach, quiet_modules(space)
+    reach = down.reach
     seen = 2 * reach + 1
-    above_light = np.pad(np.where(space.known, space.values - 1.0, 0.0), quiet + reach)
+    above_light = np.pad(np.where(space.known, space.values - 1.0, 0.0), quiet_modules(space) + reach)
     # along v for all modules of a row; along u only where it is asked for, some tenth of all samples
-    height = len(above_light) - 2 * reach
-    along_v = np.zeros((3, height, down.weights.shape[1], above_light.shape[1]))
+    height, width = len(above_light) - 2 * reach, above_light.shape[1]
+    along_v = np.zeros((3, height, down.weights.shape[1], width))
     for step in range(seen):
         along_v += down.weights[:, None, :, step, None] * above_light[step : step + height, None, :]
-    beside = np.lib.stride_tricks.sliding_window_view(along_v, seen, axis=3)
-    picked = beside[:, down.module[rows] - reach, down.place[rows], across.module[columns] - reach]
-    weights = across.weights[:, across.place[columns]]
-    pairs = (0, 1), (1, 0), (0, 2), (1, 1), (2, 0)
-    return tuple(np.einsum("st,st->s", picked[of_v], weights[of_u]) for of_v, of_u in pairs)
+    of_v, of_u = [0, 1, 0, 1, 2], [1, 0, 2, 1, 0]
+    picked, weights = along_v[of_v].reshape(5, -1), across.weights[of_u]
+    first = rows * width + across.module[columns] - reach  # rows are samples: modules, and places in them
+    place = across.place[columns]
+    found = np.zeros((5, len(rows)))
+    for step in range(seen):
+        found += weights[:, :, step].take(place, axis=1) * picked.take(first + step, axis=1)
+    return tuple(found)
