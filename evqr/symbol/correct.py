@@ -94,6 +94,8 @@ def correct_block(
     effort: Effort,
     printed: NDArray[np.bool_] | None = None,
     beside: NDArray[np.float64] | None = None,
+    received: Symbols | None = None,
+    syndromes: Symbols | None = None,
 ) -> Corrected | Doubt:
     """Correct one block.
 
@@ -115,6 +117,8 @@ def correct_block(
         Bits that have a module; the others are 0 in every symbol, and 0 in ``soft``.  Default all.
     beside : (k,) float64, optional
         Further modules that a chance content would have to agree with, times +1 where they do, else -1.
+    received, syndromes : (n,) and (n_check,) uint8 or uint16, optional
+        The block's words as they are, and their syndromes, where they are known already.
 
     Returns
     -------
@@ -122,8 +126,16 @@ def correct_block(
         The first result beyond chance, or why there is none.
     """
     ones = soft < 0.0
-    received = words_of(ones, code)
-    syndromes = code.syndromes(received)
+    if received is None:
+        received = words_of(ones, code)
+    if syndromes is None:
+        syndromes = code.syndromes(received)
+    if not syndromes.any() and (beside is None or not (beside < 0.0).any()):
+        # nothing is wrong: each module that says anything is a coin that agrees, whatever its strength
+        coins = int(np.count_nonzero(soft) + (0 if beside is None else np.count_nonzero(beside)))
+        chance = log_contents(received) - math.log(2.0) * coins
+        if chance <= log_limit:
+            return Corrected(words=received, changed=0, erased=0, spare=code.n_check, log_chance=chance)
     strength = np.abs(soft)
     scale = _mean(strength if beside is None else np.concatenate([strength, np.abs(beside)]))
     strength /= scale

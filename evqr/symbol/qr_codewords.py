@@ -8,6 +8,7 @@ ISO/IEC 18004 are not repeated here.
 from __future__ import annotations
 
 import functools
+import itertools
 from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Literal
@@ -15,7 +16,7 @@ from typing import Literal
 import numpy as np
 from numpy.typing import NDArray
 
-from evqr.symbol.reed_solomon import ReedSolomon
+from evqr.symbol.reed_solomon import ReedSolomon, Symbols
 from evqr.symbol.space import Version, closed
 
 ErrorLevel = Literal["L", "M", "Q", "H"]
@@ -154,6 +155,25 @@ class CodewordLayout:
     bits: NDArray[np.intp]
     printed: NDArray[np.bool_] | None
     blocks: tuple[Block, ...]
+
+    @functools.cached_property
+    def _alike(self) -> list[tuple[ReedSolomon, slice, int]]:
+        """Blocks in a row that are as long: their code, their codewords and how many they are."""
+        alike = []
+        for (code, _), each in itertools.groupby(
+            self.blocks, lambda b: (b.code, b.codewords.stop - b.codewords.start)
+        ):
+            blocks = list(each)
+            alike.append((code, slice(blocks[0].codewords.start, blocks[-1].codewords.stop), len(blocks)))
+        return alike
+
+    def syndromes(self, codewords: NDArray[np.uint8]) -> list[Symbols]:
+        """Return the syndromes of all blocks, of codewords (n,) as ``bits`` has them."""
+        return [
+            of_block
+            for code, where, count in self._alike
+            for of_block in code.syndromes(codewords[where].reshape(count, -1))
+        ]
 
 
 @functools.cache

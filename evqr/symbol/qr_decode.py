@@ -139,6 +139,7 @@ def _decode_format(
         return DecodeFailure(reason=reason, detail=detail, space=space, ec_level=level, mask=mask)
 
     codewords = np.packbits(soft < 0.0)
+    syndromes = layout.syndromes(codewords)
     blocks: list[Corrected] = []
     padding = True  # pads fill the end of the data, so blocks come last first
     for index in reversed(range(len(layout.blocks))):
@@ -152,12 +153,15 @@ def _decode_format(
             effort=effort,
             printed=layout.printed,
             beside=beside,
+            received=codewords[block.codewords],
+            syndromes=syndromes[index],
         )
         if isinstance(result, Doubt):
             place = f"{_named(form)}, block {index + 1} of {len(layout.blocks)}"
             return failed(result.reason, f"{result.detail} ({place})")
         blocks.append(result)
-        codewords[block.codewords] = result.words
+        if result.changed:
+            codewords[block.codewords] = result.words
         padding = padding and count_pads(result.words[: block.n_data]) == block.n_data
 
     modules, payload = _said(codewords.tobytes(), space, level, mask, config.charset)

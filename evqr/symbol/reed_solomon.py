@@ -151,16 +151,16 @@ class ReedSolomon:
         return self._with_values(word, self.syndromes(word), range(len(data), len(word)))
 
     def syndromes(self, word: Symbols) -> Symbols:
-        """Compute the syndromes.
+        """Compute the syndromes, of one word or of many at once.
 
         Parameters
         ----------
-        word : (n,) uint8 or uint16
+        word : (..., n) uint8 or uint16
             Data and check symbols.
 
         Returns
         -------
-        (n_check,) uint8 or uint16
+        (..., n_check) uint8 or uint16
             All zero for a valid word.
 
         Raises
@@ -168,8 +168,9 @@ class ReedSolomon:
         ValueError
             The word is longer than the field allows, or not longer than its check symbols.
         """
-        field, exponents = self.field, _exponents(self, len(word))
-        return np.bitwise_xor.reduce(field.power.take(field.log.take(word) + exponents), axis=1)
+        field, exponents = self.field, _exponents(self, word.shape[-1])
+        logs = field.log.take(word)[..., None, :]
+        return np.bitwise_xor.reduce(field.power.take(logs + exponents), axis=-1)
 
     def correct(
         self, word: Symbols, erased: Sequence[int] = (), *, syndromes: Symbols | None = None

@@ -62,3 +62,14 @@ def test_masks_leave_all_but_data_alone():
     assert (signs[:, ~data] == 1).all()
     assert all(0.3 < (sign[data] < 0).mean() < 0.7 for sign in signs)
     np.testing.assert_array_equal(signs[0][data] < 0, (np.indices((29, 29)).sum(0) % 2 == 0)[data])
+
+
+@pytest.mark.parametrize(("version", "level"), [(1, "L"), (5, "Q"), (9, "H"), ("M3", "M")])
+def test_syndromes_of_all_blocks_are_those_of_each(version, level):
+    layout = codeword_layout(version, level)
+    codewords = np.random.default_rng(0).integers(0, 256, len(layout.bits) // 8, np.uint8)
+    alone = [block.code.syndromes(codewords[block.codewords]) for block in layout.blocks]
+    together = layout.syndromes(codewords)
+    assert len(together) == len(alone)
+    for one, other in zip(together, alone, strict=True):
+        np.testing.assert_array_equal(one, other)

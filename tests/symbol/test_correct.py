@@ -9,6 +9,7 @@ from hypothesis import strategies as st
 
 from evqr.config import DecodeConfig
 from evqr.reason import Reason
+from evqr.symbol.chance import log_chance
 from evqr.symbol.correct import Corrected, Doubt, bits_of, correct_block, words_of
 from evqr.symbol.reed_solomon import ReedSolomon
 
@@ -57,6 +58,29 @@ def test_a_block_of_six_bit_words():
     np.testing.assert_array_equal(result.words, words)
     assert (result.changed, result.erased, result.spare) == (0, 0, 12)
     assert result.log_chance == pytest.approx((6 * N_DATA - 6 * 22) * math.log(2.0))
+
+
+def test_what_is_right_as_it_came_counts_every_module_that_says_anything_alike():
+    rng = np.random.default_rng(4)
+    words, soft = block(rng)
+    soft *= rng.uniform(0.1, 3.0, soft.size)
+    blank = np.flatnonzero(soft > 0.0)[:5]  # what says nothing is taken for light
+    soft[blank] = 0.0
+    known = {"received": words, "syndromes": CODE.syndromes(words)}
+    for more in ({}, known, {**known, "beside": np.array([0.5, 0.0, 2.0])}):
+        result = correct(soft, **more)
+        assert isinstance(result, Corrected)
+        coins = soft.size - 5 + 2 * ("beside" in more)
+        assert result.log_chance == pytest.approx((6 * N_DATA - coins) * math.log(2.0))
+        np.testing.assert_array_equal(result.words, words)
+        agreement = np.abs(np.concatenate([soft, more.get("beside", [])]))
+        assert result.log_chance == pytest.approx(log_chance(agreement, 6 * N_DATA * math.log(2.0)))
+
+
+def test_a_valid_word_that_is_no_better_than_chance_is_not_taken():
+    _, soft = block(np.random.default_rng(5))
+    result = correct(soft, log_limit=-math.log(2.0) * 6 * 22)
+    assert isinstance(result, Doubt) and result.reason is Reason.POSSIBLY_CHANCE
 
 
 def test_the_least_certain_words_are_erased():
