@@ -30,8 +30,8 @@ class SchedulerConfig(Settings):
         in sizes of the code. Chosen: two codes cannot overlap.
     same_velocity : float
         How much the velocity of a code that is found again may differ in any case, relative to the faster of
-        the two; the place may differ by half of that share of its way. Chosen: from cold it was seen to be off
-        by 0.4 for a code that turns.
+        the two; the place may differ by half of that share of its way. Chosen: from cold it was seen to be
+        off by 0.4 for a code that turns.
     acceleration : float [sizes/s^2]
         How fast its velocity may change beside that. Chosen: half of gravity for a code of 10 cm.
     turn_rate : float [deg/s]

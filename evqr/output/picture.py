@@ -208,7 +208,7 @@ def _draw_modules(signs: Axes, true: Axes, reading: CodeReading, truth: NDArray[
 def _module_px(reading: CodeReading) -> float:
     """Size of a module in the image: the root of its mean area [px]."""
     x, y = reading.corners_px.T
-    area = abs(float(x @ np.roll(y, -1) - y @ np.roll(x, -1))) / 2
+    area = abs(float((x * np.roll(y, -1) - y * np.roll(x, -1)).sum())) / 2
     return max((area / (reading.rows * reading.columns)) ** 0.5, 1e-3)
 
 

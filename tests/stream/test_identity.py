@@ -159,7 +159,7 @@ TWO = {
 
 
 def test_one_code_that_turns_is_not_counted_twice_though_its_motion_is_taken_for_that_of_its_ground():
-    """From cold the motion is that of most of what is seen: here of a larger thing that turns with the code."""
+    """From cold the motion is that of most of what is seen: of a larger thing that turns with the code."""
     body, known = ONE["turning"][0], KnownCodes(SchedulerConfig(), WIDTH, HEIGHT)
     known.merge_with_earlier(TEXT, body.seen(0.0))
     known.moved(0, body.seen(0.001))
