@@ -4,25 +4,27 @@ The paper takes the first principal component of the events in space-time; over 
 extent of the object rather than its motion.  Instead the signed counts of the two halves are correlated, and
 the displacement of the peak is divided by the difference of the halves' mean times.  The sign comes from the
 order of time.
+
+Windows are worked on together, those of sensors of different sizes in images as large as the largest.
 """
 
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 
 import numpy as np
 from numpy.typing import NDArray
 
 from evqr.config import MotionConfig
-from evqr.events.batch import EventBatch
 from evqr.events.buffer import Asking
 from evqr.events.window import Window
 from evqr.motion import Motion
 from evqr.reason import Reason
 from evqr.values import Value
-from evqr.workspace import EventRoom, Workspace
+from evqr.workspace import Workspace
+from evqr_kernels.operations.images import taps_beside
 
 MOST_PROBES, LONGER = 4, 4
 """Windows tried while the speed is unknown, each so many times as long as the one before."""
@@ -30,8 +32,21 @@ MOST_PROBES, LONGER = 4, 4
 LEAST_TRAVEL_PX = 1.0
 """Travel in such a window that tells a speed [px]."""
 
-LEAST_HALF = 1.5
+LEAST_HALF = 2.0
 """Half width of the window that blurs a correlation, at least [binned px]."""
+
+CLEAR_PEAK = 0.1
+"""Correlation of some of a window's events that needs no others."""
+
+NOISE_PEAK = 5.0
+"""Standard deviations of the correlation of halves that have nothing to do with each other, which the highest
+of them all does not reach."""
+
+FEWEST_ROOM = 1 << 12
+"""Room for events grows from this in powers of two, so that launches recorded for it are used again."""
+
+MOST_TOGETHER = 32
+"""Windows whose images are made at once: at full resolution they take some megabytes each."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -54,47 +69,78 @@ class MotionEstimate(Value):
 
 
 class _Correlator:
-    """Correlates the halves of windows of one size of image, over one square of shifts."""
+    """Correlates the halves of so many windows with room for so many events, over one square of shifts."""
 
     def __init__(
-        self, events: EventRoom, height: int, width: int, reduction: int, radius: int, half: float,
+        self, count: int, room: int, height: int, width: int, reduction: int, radius: int, half: float,
         cfg: MotionConfig, workspace: Workspace,
     ) -> None:  # fmt: skip
         backend, shifts = workspace.backend, 2 * radius + 1
-        self._ptr = workspace.mirror((2, 2), np.int32)
-        self._peak, self._energy = workspace.mirror((1, 3)), workspace.mirror((1, 2))
-        halves = workspace.empty(2, height, width)
-        pair = halves.reshape((1, 2, height, width))
-        scratch = workspace.scratch("motion_correlation", B=1, Y=height, X=width, radius=radius)
-        surface = workspace.empty(1, shifts, shifts)
-        blurred = workspace.scratch("surface_peak", B=1, N=shifts)
+        self._x, self._y = (workspace.mirror((room,), np.uint16) for _ in range(2))
+        self._stamp = workspace.mirror((room,), np.uint32)
+        self._ptr = workspace.mirror((2 * count, 2), np.int32)
+        self._peak, self._energy = workspace.mirror((count, 3)), workspace.mirror((count, 2))
+        halves = workspace.empty(2 * count, height, width)
+        pairs = halves.reshape((count, 2, height, width))
+        scratch = workspace.scratch("motion_correlation", B=count, Y=height, X=width, radius=radius)
+        surface = workspace.empty(count, shifts, shifts)
+        blurred = workspace.scratch("surface_peak", B=count, N=shifts)
+        events = self._x.device, self._y.device, self._stamp.device, self._ptr.device
 
         def launch() -> None:
             backend.clear(halves)
-            backend.bin_packed_events(events.x, events.y, events.stamp, self._ptr.device, reduction, halves)
-            backend.motion_correlation(pair, cfg.clip, radius, *scratch, surface, self._energy.device)
+            backend.bin_packed_events(*events, reduction, halves)
+            backend.motion_correlation(pairs, cfg.clip, radius, *scratch, surface, self._energy.device)
             backend.surface_peak(surface, half, *blurred, self._peak.device)
 
         self._run = backend.record(launch)
 
-    def __call__(self, middle: int, count: int) -> tuple[NDArray[np.float64], float]:
-        """Give the shift (x, y) of highest correlation [binned px], and that correlation, normalised."""
-        self._ptr.write([(0, middle), (middle, count)])
+    def __call__(self, samples: Sequence[_Sample]) -> list[tuple[NDArray[np.float64], float]]:
+        """Give each window's shift (x, y) of highest correlation [binned px], and that correlation."""
+        first = 0
+        self._ptr.host[2 * len(samples) :] = 0
+        for k, sample in enumerate(samples):
+            events, step = sample.window.events, sample.step
+            middle, last = first + sample.middle, first + sample.count
+            self._ptr.host[2 * k : 2 * k + 2] = (first, middle), (middle, last)
+            self._x.host[first:last], self._y.host[first:last] = events.x[::step], events.y[::step]
+            np.greater(events.p[::step], 0, out=self._stamp.host[first:last])
+            first = last
+        for mirror in (self._x, self._y, self._stamp, self._ptr):
+            mirror.push()
         self._run()
-        x, y, highest = self._peak.read()[0].tolist()
-        first, second = self._energy.read()[0].tolist()
-        return np.array([x, y]), highest / max(math.sqrt(first * second), 1e-9)
+        peaks, energies = self._peak.read().tolist(), self._energy.read().tolist()
+        return [
+            (np.array([x, y]), highest / max(math.sqrt(first * second), 1e-9))
+            for (x, y, highest), (first, second), _ in zip(peaks, energies, samples, strict=False)
+        ]
 
 
-def estimate_motion(
-    window: Window, cfg: MotionConfig, *, workspace: Workspace, reduction: int = 1, reach: int | None = None
-) -> MotionEstimate | Reason:
-    """Estimate the motion common to a window's events.
+@dataclass(frozen=True, eq=False)
+class _Sample:
+    """Every ``step``-th event of a window, which has so many of them before its middle and in all."""
+
+    window: Window
+    step: int
+    middle: int
+    count: int
+
+    @classmethod
+    def of(cls, window: Window, middle: int, most: int) -> _Sample:
+        step = max(1, -(-len(window) // most))
+        return cls(window, step, -(-middle // step), -(-len(window) // step))
+
+
+def estimate_motions(
+    windows: Sequence[Window], cfg: MotionConfig, *, workspace: Workspace, reduction: int = 1,
+    reach: int | None = None, thorough: bool = True,
+) -> list[MotionEstimate | Reason]:  # fmt: skip
+    """Estimate the motion common to each window's events.
 
     Parameters
     ----------
-    window : Window
-        Whose motion.
+    windows : sequence of Window
+        Whose motions; of one sensor or of several.
     cfg : MotionConfig
         Settings.
     workspace : Workspace
@@ -103,31 +149,77 @@ def estimate_motion(
         Binning; 1 is the precise estimate.
     reach : int [binned px]
         Largest displacement between the halves; default ``cfg.reach_px``, and more where the peak lies there.
+    thorough : bool
+        Whether to look for larger displacements even where the halves do not agree clearly, and at all events
+        where some do not.
 
     Returns
     -------
-    estimate : MotionEstimate or Reason
+    estimates : list of MotionEstimate or Reason
         TOO_FEW_EVENTS in a half of the window, or NOTHING_MOVES where the halves do not correlate.
     """
-    middle = window.events.first_at(window.middle_us)
-    if min(middle, len(window) - middle) < cfg.fewest_events // 2:
-        return Reason.TOO_FEW_EVENTS
+    found: list[MotionEstimate | Reason] = [Reason.TOO_FEW_EVENTS] * len(windows)
+    middles = [window.events.first_at(window.middle_us) for window in windows]
+    waiting = [
+        (k, _Sample.of(window, middle, cfg.most_events), reach)
+        for k, (window, middle) in enumerate(zip(windows, middles, strict=True))
+        if min(middle, len(window) - middle) >= cfg.fewest_events // 2
+    ]
     half = max(cfg.blur_px / reduction, LEAST_HALF)
-    radius = (reach or cfg.reach_px) + math.ceil(half)
-    height, width = -(-window.height // reduction), -(-window.width // reduction)
-    events = workspace.events(EventBatch.of([window]))
+    while waiting:
+        now_reach = waiting[0][2]
+        now = [one for one in waiting if one[2] == now_reach][:MOST_TOGETHER]
+        waiting = [one for one in waiting if one not in now]
+        peaks = _correlate(
+            [sample for _, sample, _ in now], reduction, now_reach or cfg.reach_px, half, cfg, workspace
+        )
+        for (k, sample, _), (shift, correlation) in zip(now, peaks, strict=True):
+            window = windows[k]
+            cells = window.width * window.height / reduction**2
+            agree = correlation >= max(cfg.min_peak, NOISE_PEAK * 0.75 / (half * math.sqrt(cells)))
+            if now_reach is None and np.abs(shift).max() >= cfg.reach_px and (agree or thorough):
+                waiting.append((k, sample, 4 * cfg.reach_px))
+            elif thorough and sample.step > 1 and correlation < CLEAR_PEAK:
+                waiting.append((k, _Sample.of(window, middles[k], len(window)), now_reach))
+            else:
+                found[k] = _estimate(sample, middles[k], shift * reduction, correlation, agree, cfg)
+    return found
+
+
+def _correlate(
+    samples: Sequence[_Sample], reduction: int, reach: int, half: float, cfg: MotionConfig,
+    workspace: Workspace,
+) -> list[tuple[NDArray[np.float64], float]]:  # fmt: skip
+    """Correlate the halves of windows."""
+    count = 1 << (len(samples) - 1).bit_length()
+    room = max(FEWEST_ROOM, 1 << (sum(sample.count for sample in samples) - 1).bit_length())
+    height = -(-max(sample.window.height for sample in samples) // reduction)
+    width = -(-max(sample.window.width for sample in samples) // reduction)
+    radius = reach + taps_beside(half)
     correlate = workspace.once(
-        ("motion", events.capacity, height, width, reduction, radius, cfg),
-        lambda: _Correlator(events, height, width, reduction, radius, half, cfg, workspace),
+        ("motion", count, room, height, width, reduction, radius, cfg),
+        lambda: _Correlator(count, room, height, width, reduction, radius, half, cfg, workspace),
     )
-    shift, correlation = correlate(middle, len(window))
-    if reach is None and np.abs(shift).max() >= cfg.reach_px:
-        return estimate_motion(window, cfg, workspace=workspace, reduction=reduction, reach=4 * cfg.reach_px)
+    return correlate(samples)
+
+
+def _estimate(
+    sample: _Sample, middle: int, shift: NDArray[np.float64], correlation: float, agree: bool,
+    cfg: MotionConfig,
+) -> MotionEstimate | Reason:  # fmt: skip
+    """Make a motion of a shift [px]."""
+    window = sample.window
     between = _mean_us(window, middle, len(window), cfg) - _mean_us(window, 0, middle, cfg)
-    if between <= 0.0 or correlation < cfg.min_peak:
+    if between <= 0.0 or not agree:
         return Reason.NOTHING_MOVES
-    motion = Motion(shift * reduction / (between * 1e-6), window.middle_us)
-    return MotionEstimate(motion, correlation)
+    return MotionEstimate(Motion(shift / (between * 1e-6), window.middle_us), correlation)
+
+
+def estimate_motion(
+    window: Window, cfg: MotionConfig, *, workspace: Workspace, reduction: int = 1, reach: int | None = None
+) -> MotionEstimate | Reason:
+    """Estimate the motion common to a window's events: `estimate_motions` of one."""
+    return estimate_motions([window], cfg, workspace=workspace, reduction=reduction, reach=reach)[0]
 
 
 def _mean_us(window: Window, first: int, last: int, cfg: MotionConfig) -> float:
@@ -164,7 +256,10 @@ def find_motion(
     length = cfg.probe_us
     for _ in range(0 if guess is not None else MOST_PROBES):
         window = yield start_us, start_us + length
-        coarse = estimate_motion(window, cfg, workspace=workspace, reduction=cfg.reduction)
+        # what is so fast that halves of the shortest window are far apart is no better seen in a longer one
+        (coarse,) = estimate_motions(
+            [window], cfg, workspace=workspace, reduction=cfg.reduction, thorough=length == cfg.probe_us
+        )
         if isinstance(coarse, MotionEstimate) and coarse.motion.travel_px(length) >= LEAST_TRAVEL_PX:
             guess = coarse.motion
             break
@@ -174,4 +269,5 @@ def find_motion(
     if guess is None:
         return Reason.NOTHING_MOVES
     window = yield start_us, start_us + guess.window_us(cfg.travel_px, longest_us=cfg.longest_us)
-    return estimate_motion(window, cfg, workspace=workspace)
+    (found,) = estimate_motions([window], cfg, workspace=workspace, thorough=False)
+    return found

@@ -39,6 +39,9 @@ def surface_peak(surface, half, filled_out, rows_out, peak_out) -> None:
         row, column = (int(k) + reach for k in np.unravel_index(smooth.argmax(), smooth.shape))
         at, x, y, height = np.arange(size, dtype=surface.dtype), 0.0, 0.0, 0.0
         for step in range(NEWTON_STEPS + 1):
+            across, down = column - middle + x, row - middle + y
+            if step >= 2 and across * across + down * down >= 1.0:
+                one[middle, middle] = _value_at(surface[b], middle + 2.0 * across, middle + 2.0 * down)
             (k, kx, kxx), (g, gy, gyy) = _window(at - column - x, half), _window(at - row - y, half)
             height, slope_x, slope_y = g @ one @ k, g @ one @ kx, gy @ one @ k
             xx, xy, yy = g @ one @ kxx, gy @ one @ kx, gyy @ one @ k
@@ -48,6 +51,14 @@ def surface_peak(surface, half, filled_out, rows_out, peak_out) -> None:
             x = np.clip(x - (yy * slope_x - xy * slope_y) / determinant, -1.0, 1.0)
             y = np.clip(y - (xx * slope_y - xy * slope_x) / determinant, -1.0, 1.0)
         peak_out[b] = column - middle + x, row - middle + y, height / half**2
+
+
+def _value_at(image, x: float, y: float) -> float:
+    """Interpolate between four entries; beyond the border it is as there."""
+    at_y, at_x = (int(np.clip(np.floor(v), 0, len(image) - 2)) for v in (y, x))
+    x, y = (float(np.clip(v, 0.0, 1.0)) for v in (x - at_x, y - at_y))
+    (a, b), (c, d) = image[at_y : at_y + 2, at_x : at_x + 2]
+    return (1.0 - y) * ((1.0 - x) * a + x * b) + y * ((1.0 - x) * c + x * d)
 
 
 def _window(r, half):

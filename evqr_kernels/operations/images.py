@@ -21,8 +21,8 @@ from evqr_kernels.operation import (
     size,
 )
 
-NEWTON_STEPS = 4
-"""From the highest entry of a surface to the peak beside it."""
+NEWTON_STEPS = 6
+"""From the highest entry of a surface to the peak beside it: two, and then with the middle entry mended."""
 
 SHIFTS = "2 * radius + 1"
 RESPONSE = ("B", "max(0, Y - N + 1)", "max(0, X - N + 1)")

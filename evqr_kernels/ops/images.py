@@ -93,8 +93,9 @@ def surface_peak(surface: Floats, *, half: float, backend: str = "auto", device:
     Notes
     -----
     Points whose window hangs over the border are not looked at: what is seen of a peak on one side only would
-    move it.  A middle entry below its four neighbours is raised to their mean: a pixel that has just fired is
-    less ready to, whatever moves.
+    move it.  The middle entry, which says more of the pixels than of the motion, is taken to be what lies as
+    far on the other side of a peak that is a step away or more; to find it, the mean of the four neighbours
+    where it is below them.
 
     Cost: 4 N^2 ``half`` multiply-adds a surface and some 10 ``half`` sines, by one thread; scratch of
     (B, N, N).

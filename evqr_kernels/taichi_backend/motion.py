@@ -202,6 +202,20 @@ def make_surface_peak(dtype, alone: bool):
             top = ti.max(row - reach - 1, 0)
             bottom = ti.min(row + reach + 2, size)
             for step in range(NEWTON_STEPS + 1):
+                across = ti.cast(column - middle, dtype) + x
+                down = ti.cast(row - middle, dtype) + y
+                if step >= 2 and across * across + down * down >= dtype(1.0):
+                    # as far on the other side of the peak, between four entries
+                    to_x = ti.cast(middle, dtype) + dtype(2.0) * across
+                    to_y = ti.cast(middle, dtype) + dtype(2.0) * down
+                    at_x = clamp(ti.cast(ti.floor(to_x), ti.i32), 0, size - 2)
+                    at_y = clamp(ti.cast(ti.floor(to_y), ti.i32), 0, size - 2)
+                    to_x = clamp(to_x - ti.cast(at_x, dtype), dtype(0.0), dtype(1.0))
+                    to_y = clamp(to_y - ti.cast(at_y, dtype), dtype(0.0), dtype(1.0))
+                    upper = surface[b, at_y, at_x] * (dtype(1.0) - to_x) + surface[b, at_y, at_x + 1] * to_x
+                    lower = surface[b, at_y + 1, at_x] * (dtype(1.0) - to_x)
+                    lower += surface[b, at_y + 1, at_x + 1] * to_x
+                    filled_out[b, middle, middle] = upper * (dtype(1.0) - to_y) + lower * to_y
                 for i in range(left, right):
                     r = ti.cast(i - column, dtype) - x
                     inside = ti.select(ti.abs(r) < half, dtype(0.5), dtype(0.0))

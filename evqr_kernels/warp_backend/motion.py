@@ -14,6 +14,10 @@ adds the rows up, so the result does not depend on the order of the threads.
 first of whole (u, v) whose windows do not hang over the border, then between them by Newton's method.  A
 displacement's correlation is symmetric about its peak, so f, whose window is symmetric about any point, is
 highest there; a window that the border cuts off, or a parabola through three entries, would move it.
+
+The entry in the middle says more of the pixels than of the motion: one that has just fired is less ready to.
+For a peak that is a step away or more it is taken to be what lies as far on the other side of the peak; for
+the search of the highest entry, the mean of its four neighbours where it is below them.
 """
 
 import math
@@ -238,6 +242,19 @@ def make_surface_peak(dtype: type) -> wp.Kernel:
         top = wp.max(row - reach - 1, 0)
         bottom = wp.min(row + reach + 2, size)
         for step in range(NEWTON_STEPS + 1):
+            across = dtype(column - middle) + x
+            down = dtype(row - middle) + y
+            if step >= 2 and across * across + down * down >= dtype(1.0):
+                # as far on the other side of the peak, between four entries
+                to_x = dtype(middle) + dtype(2.0) * across
+                to_y = dtype(middle) + dtype(2.0) * down
+                at_x = wp.clamp(int(wp.floor(to_x)), 0, size - 2)
+                at_y = wp.clamp(int(wp.floor(to_y)), 0, size - 2)
+                to_x = wp.clamp(to_x - dtype(at_x), dtype(0.0), dtype(1.0))
+                to_y = wp.clamp(to_y - dtype(at_y), dtype(0.0), dtype(1.0))
+                upper = wp.lerp(surface[b, at_y, at_x], surface[b, at_y, at_x + 1], to_x)
+                lower = wp.lerp(surface[b, at_y + 1, at_x], surface[b, at_y + 1, at_x + 1], to_x)
+                filled_out[b, middle, middle] = wp.lerp(upper, lower, to_y)
             for i in range(left, right):
                 r = dtype(i - column) - x
                 inside = wp.where(wp.abs(r) < half, dtype(0.5), dtype(0.0))

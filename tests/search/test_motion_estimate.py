@@ -10,7 +10,9 @@ from evqr.events.buffer import EventBuffer
 from evqr.events.window import Window, make_window
 from evqr.motion import Motion
 from evqr.reason import Reason
-from evqr.search.motion_estimate import MotionEstimate, estimate_motion, find_motion
+from evqr.search.motion_estimate import MotionEstimate, estimate_motion, estimate_motions, find_motion
+from evqr.workspace import Workspace
+from evqr_kernels.registry import get_backend
 
 CONFIG = MotionConfig()
 
@@ -41,6 +43,13 @@ def small(**options):
     """A small scene and its velocity [px/s]."""
     made = scene(**{"version": 1, "module_px": 4.0, "width": 200, "height": 160, "travel_px": 6.0, **options})
     return made, made.truth["truth"]["velocity"][0]
+
+
+def joined_in_time(*parts):
+    """Events of several recordings, at once."""
+    columns = [np.concatenate([getattr(part, name) for part in parts]) for name in ("t", "x", "y", "p")]
+    order = np.argsort(columns[0], kind="stable")
+    return EventArray(*(column[order] for column in columns), parts[0].width, parts[0].height)
 
 
 # ---- what is found
@@ -156,6 +165,42 @@ def test_the_search_for_motion_asks_for_longer_windows_one_by_one(workspace):
             bounds = asking.send(buffer.window(*bounds))
     assert end.value.value is Reason.NOTHING_MOVES
     assert asked == [(100, 1_100), (100, 4_100), (100, 16_100), (100, 50_100)]
+
+
+@pytest.mark.parametrize("backend", ["warp", "numpy"])
+def test_many_windows_together_give_what_each_gives_alone(backend):
+    """Of two sensors, with few events, many, none, and noise; some reach further than others."""
+    here = Workspace(get_backend(backend), "cpu")
+    first, second = small(direction=50.0)[0], small(direction=-70.0, width=120, height=176)[0]
+    windows = [
+        window_of(first, 2.0), window_of(second, 3.0), make_window(noise(150, 1000), 0, 1000),
+        window_of(first, 6.0), make_window(noise(0, 1000), 0, 1000), make_window(noise(9000, 1000), 0, 1000),
+    ]  # fmt: skip
+    for reduction in (1, 4):
+        together = estimate_motions(windows, CONFIG, workspace=here, reduction=reduction)
+        alone = [estimate_motion(one, CONFIG, workspace=here, reduction=reduction) for one in windows]
+        assert together == alone
+        assert [isinstance(one, MotionEstimate) for one in together] == [
+            True,
+            True,
+            False,
+            True,
+            False,
+            False,
+        ]
+    assert estimate_motions([], CONFIG, workspace=here) == []
+
+
+def test_some_of_the_events_are_enough_and_all_are_taken_where_they_are_not(workspace):
+    made, velocity = small(direction=50.0)
+    window, few = window_of(made), MotionConfig(most_events=2000)
+    assert len(window) > 2 * few.most_events
+    hidden = joined_in_time(made.events, noise(200_000, int(made.events.t[-1]) + 1, width=200, height=160))
+    hidden_window = make_window(hidden, window.start_us, window.end_us)
+    assert_close(estimate_motion(window, few, workspace=workspace), velocity)
+    assert_close(estimate_motion(hidden_window, few, workspace=workspace), velocity)
+    (hasty,) = estimate_motions([hidden_window], few, workspace=workspace, thorough=False)
+    assert hasty != estimate_motion(hidden_window, CONFIG, workspace=workspace)
 
 
 def test_an_answer_is_the_same_every_time(workspace):
