@@ -76,7 +76,7 @@ class Asked:
 
     def __post_init__(self) -> None:
         if self.time_unit is not None and self.time_unit not in PER_SECOND:
-            raise UsageError(f"time unit {self.time_unit!r} is unknown; pass one of {', '.join(PER_SECOND)}")
+            raise UsageError(f"time_unit {self.time_unit!r} is unknown; pass one of {', '.join(PER_SECOND)}")
         if self.chunk_events < 1:
             raise ValueError(f"chunk_events must be at least 1, got {self.chunk_events}")
         if self.start_us is not None and self.end_us is not None and self.end_us <= self.start_us:

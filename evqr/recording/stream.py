@@ -17,7 +17,7 @@ from .faults import EventCounts, Faults
 from .options import Asked
 from .ordering import EventIntake
 from .source import RawColumns, Source
-from .time_unit import decide_time_unit
+from .time_unit import decide_time_unit, odd_if_asked
 
 SAMPLE_EVENTS = 1 << 16  # the unit of time is judged by so many first events
 
@@ -135,6 +135,8 @@ class Recording:
                 self._notes.append(f"{declared.said}; {asked} was asked for")
             elif declared is not None and declared.unit != asked:
                 self._notes.append(f"times are taken as {asked} as asked, though {declared.reason}")
+            sensor = self.width, self.height
+            self._notes.extend(odd_if_asked(t, asked, sensor, self._source.name))
             return DeclaredUnit(asked, "as asked")
         if isinstance(declared, Unclear):
             raise RecordingError(f'{self._source.name}: {declared.said}; pass time_unit="us|ms|s|ns"')

@@ -11,12 +11,15 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from ..errors import RecordingError
+from ..errors import RecordingError, UsageError
 from .declared import PER_SECOND, DeclaredUnit, TimeUnit
 
 # Mean events a pixel and second.  Above the upper bound no pixel recovers and no readout follows; below the
 # lower one the recording would be quieter than the noise of any sensor.
 MIN_RATE, MAX_RATE = 1e-3, 2e4
+
+MANY_EVENTS = 1_000
+"""Rates of fewer events mean nothing where the user has named the unit."""
 
 # No recording is younger than this [s since 1970]: the year 2100.
 MAX_EPOCH_S = 4.1e9
@@ -67,6 +70,54 @@ def decide_time_unit(t: NDArray, sensor: tuple[int, int], name: str) -> Declared
         f"{name}: unit of the time stamps undecidable: {finding}, {t.min()} to {t.max()}, {len(t):,} events"
         f' ({judged}); pass time_unit="us|ms|s|ns"'
     )
+
+
+def odd_if_asked(t: NDArray, asked: TimeUnit, sensor: tuple[int, int], name: str) -> tuple[str, ...]:
+    """Say what is odd about times in the unit that the user names.
+
+    Parameters
+    ----------
+    t : (E,) number
+        The first stored stamps, finite and not negative.
+    asked : "s", "ms", "us" or "ns"
+        Their unit, as asked for.
+    sensor : (int, int) [px]
+        Width and height.
+    name : str
+        Of the recording, for the message.
+
+    Returns
+    -------
+    notes : tuple of str
+        At most one.
+
+    Raises
+    ------
+    UsageError
+        They cannot be in it: whole seconds of a sensor that would be quieter than any.
+    """
+    if len(t) < MANY_EVENTS:
+        return ()
+    between = np.sort(np.diff(np.sort(t.astype(np.float64))))[: -len(t) // 100]  # silences are no fault
+    if not between.any():
+        return ()
+    rate = len(between) / float(between.sum()) * PER_SECOND[asked]
+    span = (float(t.max()) - float(t.min())) / PER_SECOND[asked]
+    per_pixel = rate / (sensor[0] * sensor[1])
+    if MIN_RATE <= per_pixel <= MAX_RATE:
+        return ()
+    likely = [
+        unit for unit, count in PER_SECOND.items()
+        if MIN_RATE <= per_pixel * count / PER_SECOND[asked] <= MAX_RATE and unit in _usual_units(t)[0]
+    ]  # fmt: skip
+    are = f"times in {asked}, as asked, are {rate:,.3g} events/s over {span:,.{0 if span >= 10 else 6}f} s"
+    if asked == "s" and likely and _multiples_of(t, 0):
+        raise UsageError(
+            f"{name}: {are}, each at a whole second: they are no seconds; leave out time_unit=, or pass"
+            f' time_unit="{likely[0]}"'
+        )
+    little = "fewer than the noise of any sensor" if per_pixel < MIN_RATE else "more than any sensor gives"
+    return (f"{are}, {little}" + (f"; are they in {' or '.join(likely)}?" if likely else ""),)
 
 
 def _usual_units(t: NDArray) -> tuple[tuple[TimeUnit, ...], str]:

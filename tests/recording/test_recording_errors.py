@@ -291,7 +291,7 @@ def test_the_sensor_asked_for_wins_and_the_difference_is_told(tmp_path, events):
 
 
 def test_misuse_is_no_recording_error(events):
-    with pytest.raises(UsageError, match="time unit 'minutes' is unknown; pass one of s, ms, us, ns"):
+    with pytest.raises(UsageError, match="time_unit 'minutes' is unknown; pass one of s, ms, us, ns"):
         open_recording(events, time_unit="minutes")
     with pytest.raises(TypeError, match="got list"):
         open_recording([1, 2, 3])

@@ -3,8 +3,9 @@
 import numpy as np
 import pytest
 
-from evqr.errors import RecordingError
-from evqr.recording.time_unit import decide_time_unit
+from evqr.errors import RecordingError, UsageError
+from evqr.recording import open_recording
+from evqr.recording.time_unit import decide_time_unit, odd_if_asked
 
 SENSOR = (640, 480)
 COUNT = 50_000
@@ -67,3 +68,31 @@ def test_undecidable(t):
 
 def test_float32_seconds_are_seconds():
     assert decide_time_unit(stamps(100, 1, decimals=6).astype(np.float32), SENSOR, "name").unit == "s"
+
+
+def test_seconds_that_are_microseconds_are_noticed():
+    t = np.arange(0, 5_000_000, 50)
+    advice = r'each at a whole second: they are no seconds; leave out time_unit=, or pass time_unit="us"$'
+    with pytest.raises(UsageError, match=advice):
+        odd_if_asked(t, "s", (320, 240), "name")
+    columns = (t, t % 64, t % 48, t % 2)
+    said = r"^arrays: times in s, as asked, are 0\.02 events/s over 3,276,750 s"
+    with pytest.raises(UsageError, match=said):
+        open_recording(columns, sensor=(64, 48), time_unit="s")
+
+
+@pytest.mark.parametrize(
+    ("t", "asked", "told"),
+    [
+        (np.arange(0, 5_000_000, 50), "us", ""),
+        (np.arange(0, 5_000_000, 50) * 1e-6, "s", ""),
+        (np.arange(0, 5_000_000, 500), "ms", "fewer than the noise of any sensor; are they in us?"),
+        (np.arange(0, 50_000, 1) // 30, "ns", "more than any sensor gives; are they in us?"),
+        (np.zeros(5_000), "s", ""),
+        (np.arange(900), "s", ""),  # too few to tell
+        (np.arange(0, 5_000_000, 50) + 0.25, "s", "fewer than the noise of any sensor"),  # and no other unit
+    ],
+)
+def test_odd_units_are_noticed(t, asked, told):
+    (note,) = odd_if_asked(t, asked, (320, 240), "name") or ("",)
+    assert note.endswith(told) and bool(note) == bool(told)

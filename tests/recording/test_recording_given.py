@@ -1,0 +1,164 @@
+"""What users have at hand: lists, dicts, tables, arrays, open files.  Each is read, or a TypeError."""
+
+import numpy as np
+import pytest
+import sample_results
+
+import evqr
+from evqr.config import ReadConfig
+from evqr.errors import RecordingError, UsageError
+from evqr.recording import open_recording, save_recording, summarise
+
+EVENTS = sample_results.events(400)
+COLUMNS = {"t": EVENTS.t, "x": EVENTS.x, "y": EVENTS.y, "p": EVENTS.p}
+SENSOR = (160, 120)
+
+
+class Table:
+    """What tables of pandas and Polars have in common."""
+
+    def __init__(self, columns):
+        self._columns = columns
+        self.columns = list(columns)
+
+    def __getitem__(self, name):
+        return self._columns[name]
+
+
+def structured():
+    array = np.empty(400, [("x", "u2"), ("y", "u2"), ("t", "i8"), ("p", "i1")])
+    for name, values in COLUMNS.items():
+        array[name] = values
+    return array
+
+
+def as_rows():
+    return np.stack([EVENTS.t, EVENTS.x, EVENTS.y, EVENTS.p], axis=1)
+
+
+@pytest.mark.parametrize(
+    "source",
+    [
+        tuple(COLUMNS.values()),
+        list(COLUMNS.values()),
+        tuple(values.tolist() for values in COLUMNS.values()),
+        [values.tolist() for values in COLUMNS.values()],
+        as_rows(),
+        as_rows().tolist(),
+        [tuple(row) for row in as_rows().tolist()],
+        COLUMNS,
+        {"timestamp_us": EVENTS.t, "x": EVENTS.x, "y": EVENTS.y, "polarity": EVENTS.p},
+        Table(COLUMNS),
+        structured(),
+        EVENTS,
+    ],
+    ids=lambda source: type(source).__name__,
+)
+def test_events_in_memory_are_read_whatever_holds_them(source):
+    with open_recording(source, sensor="160x120", time_unit="us") as recording:
+        got = recording.read()
+    for name in "txyp":
+        np.testing.assert_array_equal(getattr(got, name), getattr(EVENTS, name))
+    assert (got.width, got.height) == SENSOR
+
+
+def test_a_dict_may_hold_the_size_of_the_sensor():
+    with open_recording({**COLUMNS, "width": 160, "height": np.array([120])}, time_unit="us") as recording:
+        assert (recording.width, recording.height) == SENSOR
+
+
+@pytest.mark.parametrize(
+    ("source", "kind"),
+    [
+        (None, "NoneType"),
+        (7, "int"),
+        ([], "list"),
+        ([[1, 2], [3]], "list"),
+        (object(), "object"),
+        ({1, 2}, "set"),
+    ],
+)
+def test_what_holds_no_events_is_a_type_error(source, kind):
+    with pytest.raises((TypeError, RecordingError), match=rf"got {kind}$|shape|source must"):
+        open_recording(source)
+
+
+def test_an_open_file_is_a_type_error(tmp_path):
+    path = sample_results.recording(tmp_path / "a.h5")
+    with path.open("rb") as file, pytest.raises(TypeError, match=r"got an open file; pass its path$"):
+        open_recording(file)
+
+
+def test_paths_are_opened_where_recordings_are_taken(tmp_path):
+    path = sample_results.recording(tmp_path / "a.h5")
+    info = summarise(path)
+    with open_recording(path) as recording:
+        assert summarise(recording) == info
+        with pytest.raises(TypeError, match="is open already: pass sensor to open_recording"):
+            summarise(recording, sensor=SENSOR)
+    told = []
+    summarise(path, progress=lambda done, total: told.append((done, total)))
+    assert told[-1][0] == told[-1][1] == info.duration_us
+    with pytest.raises(RecordingError, match="no such file"):
+        summarise(tmp_path / "nowhere.h5")
+
+
+def test_whatever_can_be_opened_can_be_saved(tmp_path):
+    for source in (tuple(COLUMNS.values()), COLUMNS, as_rows()):
+        save_recording(tmp_path / "b.h5", source, sensor=SENSOR, time_unit="us")
+        with open_recording(tmp_path / "b.h5") as recording:
+            np.testing.assert_array_equal(recording.read().t, EVENTS.t)
+    save_recording(tmp_path / "c.npz", tmp_path / "b.h5")
+    assert summarise(tmp_path / "c.npz").events == 400
+    with pytest.raises(RecordingError, match=r'sensor size unknown: pass sensor="WxH"'):
+        save_recording(tmp_path / "d.h5", tuple(COLUMNS.values()))
+    with pytest.raises(TypeError, match="got int"):
+        save_recording(tmp_path / "d.h5", 7)
+    assert not (tmp_path / "d.h5").exists()
+
+
+def test_read_many_takes_one_source(tmp_path, monkeypatch):
+    monkeypatch.setattr("evqr.offline.read_codes", lambda source, **options: sample_results.read_result())
+    path = sample_results.recording(tmp_path / "a.h5")
+    for source in (str(path), path, EVENTS, structured(), COLUMNS):
+        assert len(list(evqr.read_many(source))) == 1
+    assert len(list(evqr.read_many([path, path]))) == 2
+
+
+@pytest.mark.parametrize(
+    ("size", "meant"), [("640x480", (640, 480)), ((640, 480), (640, 480)), (["640", 480], (640, 480))]
+)
+def test_sizes_are_texts_or_pairs(size, meant):
+    with open_recording(tuple(COLUMNS.values()), sensor=size, time_unit="us") as recording:
+        assert (recording.width, recording.height) == meant
+
+
+def test_options_that_make_no_sense_are_named_as_in_the_call():
+    for given, message in (
+        ({"sensor": "640"}, r"sensor '640' is no size; pass \(640, 480\) or '640x480'"),
+        ({"sensor": 640}, "sensor 640 is no size"),
+        ({"time_unit": "hours"}, "time_unit 'hours' is unknown; pass one of s, ms, us, ns"),
+        ({"columns": "t,x"}, "columns 't,x' must name each of t, x, y and p once"),
+    ):
+        with pytest.raises(UsageError, match=message):
+            open_recording(EVENTS, **given)
+
+
+@pytest.mark.parametrize(
+    ("settings", "error", "message"),
+    [
+        (
+            {"vote": "informtion"},
+            ValueError,
+            "vote must be one of 'mode', 'soft', 'information', got 'informtion'",
+        ),
+        ({"window_us": 500.5}, TypeError, "window_us must be a whole number, at least 1, or None, got 500.5"),
+        ({"window_us": "500"}, TypeError, "window_us must be a whole number, at least 1, or None, got '500'"),
+        ({"lag_us": 300.0}, TypeError, "lag_us must be"),
+    ],
+)
+def test_settings_that_are_none_are_refused(settings, error, message):
+    with pytest.raises(error, match=message):
+        ReadConfig(**settings)
+    with pytest.raises(TypeError, match="vot"):
+        ReadConfig(vot="soft")  # pyright: ignore[reportCallIssue]
