@@ -15,8 +15,13 @@ from typing import ClassVar
 
 import click
 
-from evqr.cli.options import examples
-from evqr.cli.running import end_within_a_second_of_ctrl_c, leave_ctrl_c_to_the_thread, run_command
+from evqr.cli.options import INTERRUPTED, examples
+from evqr.cli.running import (
+    end_at_once,
+    end_within_a_second_of_ctrl_c,
+    leave_ctrl_c_to_the_thread,
+    run_command,
+)
 
 COMPLETE = "_EVQR_COMPLETE"
 """The environment variable by which a shell asks for completions."""
@@ -27,6 +32,8 @@ def main(arguments: Sequence[str] | None = None) -> None:
     end_within_a_second_of_ctrl_c()
     status = run(arguments)
     leave_ctrl_c_to_the_thread()
+    if status == INTERRUPTED:
+        end_at_once(status)
     sys.exit(status)
 
 

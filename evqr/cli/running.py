@@ -13,14 +13,14 @@ import sys
 import threading
 import traceback
 from collections.abc import Callable, Iterator
-from typing import Any
+from typing import Any, NoReturn
 
 import click
 
 from evqr.cli.options import BAD, FAILED, INTERRUPTED, PIPE_CLOSED, in_options, note
 from evqr.errors import EvqrError
 
-PATIENCE_S = 0.7
+PATIENCE_S = 0.4
 """Time that Ctrl-C gives the program to end by itself [s]: compiled code does not hear of it."""
 
 
@@ -94,6 +94,17 @@ def leave_ctrl_c_to_the_thread() -> None:
     """Raise no KeyboardInterrupt any more: the work is done, and what is left is Python's own end."""
     if signal.getsignal(signal.SIGINT) is signal.default_int_handler:
         signal.signal(signal.SIGINT, lambda number, frame: None)
+
+
+def end_at_once(status: int) -> NoReturn:
+    """End without waiting for threads, and with this status whatever Python makes of an interrupt.
+
+    Python kills itself by the signal where the interrupt came while it ran code from a text, handled or not.
+    """
+    for stream in (sys.stdout, sys.stderr):
+        with contextlib.suppress(OSError, ValueError, AttributeError):
+            stream.flush()
+    os._exit(status)
 
 
 _message_out = threading.Event()
