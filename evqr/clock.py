@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import threading
 import time
 from collections.abc import Generator, Iterator, Mapping
 from contextlib import contextmanager
@@ -10,6 +11,33 @@ from typing import Any, TypeVar
 Asked = TypeVar("Asked")
 Answer = TypeVar("Answer")
 T = TypeVar("T")
+
+
+ONE_TIME = "one_time"
+"""The stage of work that is done once and then kept: loading kernels, making tables, recording launches."""
+
+
+class _OneTime(threading.local):
+    """Of each thread: how deep it is in work that is done once, and what that took and no stage has yet [ms]."""
+
+    depth = 0
+    ms = 0.0
+
+
+_one_time = _OneTime()
+
+
+@contextmanager
+def one_time() -> Iterator[None]:
+    """Time work that is done once: it is no part of the stage in which it happens to be done first."""
+    _one_time.depth += 1
+    start = time.perf_counter()
+    try:
+        yield
+    finally:
+        _one_time.depth -= 1
+        if not _one_time.depth:
+            _one_time.ms += 1e3 * (time.perf_counter() - start)
 
 
 class StageClock:
@@ -26,12 +54,18 @@ class StageClock:
 
     @contextmanager
     def __call__(self, stage: str) -> Iterator[None]:
-        """Time a stage; times of the same stage add up."""
+        """Time a stage; times of the same stage add up.  What is done once in it is a stage of its own."""
+        before = _one_time.ms
         start = time.perf_counter()
         try:
             yield
         finally:
-            self.ms[stage] = self.ms.get(stage, 0.0) + 1e3 * (time.perf_counter() - start)
+            elapsed = 1e3 * (time.perf_counter() - start)
+            once = _one_time.ms - before
+            if once:
+                _one_time.ms = before
+                self.ms[ONE_TIME] = self.ms.get(ONE_TIME, 0.0) + once
+            self.ms[stage] = self.ms.get(stage, 0.0) + elapsed - once
 
     def pausing(self, stage: str, asking: Generator[Asked, Answer, T]) -> Generator[Asked, Answer, T]:
         """Time work that pauses to ask for something: until it is answered, no time is counted."""

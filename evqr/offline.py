@@ -12,7 +12,7 @@ from dataclasses import dataclass, replace
 from queue import SimpleQueue
 from typing import TYPE_CHECKING, Any
 
-from evqr.clock import StageClock
+from evqr.clock import ONE_TIME, StageClock
 from evqr.events.buffer import EventBuffer
 from evqr.fit.detection import Detection, NotFound
 from evqr.fit.modules import CodeEstimate
@@ -96,11 +96,14 @@ def read_codes(
     started = time.perf_counter()
     with ExitStack() as stack:
         recording, path = _open(source, opening, stack)
-        solvers, pool = _solvers(threads, stack, config=config, backend=backend, device=device)
+        clock = StageClock()
+        with clock(ONE_TIME):
+            solvers, pool = _solvers(threads, stack, config=config, backend=backend, device=device)
         scheduler = StreamScheduler(solvers, recording.width, recording.height, pool=pool)
         codes = _Codes(solvers[0].config.align.good_score)
         for record in _records(scheduler, recording, progress):
             codes.take(record)
+    clock.add(scheduler.timings_ms)
     readings = tuple(sorted(codes.readings.values(), key=lambda reading: reading.t_read_us))
     reason, reason_code = ("", None) if readings else codes.why_nothing()
     return ReadResult(
@@ -108,7 +111,7 @@ def read_codes(
         reason=reason,
         readings=readings,
         seen=scheduler.statistics,
-        compute_ms={**scheduler.timings_ms, "total": 1e3 * (time.perf_counter() - started)},
+        compute_ms={**clock.ms, "total": 1e3 * (time.perf_counter() - started)},
         source=path,
         reason_code=reason_code,
         warnings=recording.notes,

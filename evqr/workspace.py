@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, Any, TypeVar
 import numpy as np
 from numpy.typing import ArrayLike, DTypeLike, NDArray
 
+from evqr.clock import one_time
 from evqr_kernels import make_scratch
 
 if TYPE_CHECKING:
@@ -75,7 +76,8 @@ class Keeper:
         try:
             kept.move_to_end(key)
         except KeyError:
-            kept[key] = make()
+            with one_time():
+                kept[key] = make()
             if len(kept) > self.most_kept:
                 kept.popitem(last=False)
         return kept[key]
@@ -107,7 +109,8 @@ class Step(Keeper):
     @cached_property
     def run(self) -> Callable[[], None]:
         """Launches all of it, recorded when it is first asked for."""
-        return self._backend.record(self.launch)
+        with one_time():
+            return self._backend.record(self.launch)
 
 
 class EventRoom:

@@ -11,6 +11,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from evqr.clock import one_time
 from evqr.symbol.payload import CharsetSource, ContentType, Payload
 from evqr.symbol.qr_segments import Run, Segments
 from evqr.symbol.space import Symbology
@@ -75,8 +76,7 @@ def content_of(
     Payload, or None
         None where it is empty or malformed.
     """
-    import zxingcpp
-
+    zxingcpp = _zxing()
     # In the ECI protocol (ISO/IEC 15424) the bytes come with the designators, which nothing else tells.
     barcode = _read(modules, symbology, zxingcpp.TextMode.HexECI)
     if barcode is None or not barcode.valid or not barcode.bytes:
@@ -124,9 +124,17 @@ def content_of(
     )
 
 
-def _read(modules: NDArray[np.int8], symbology: Symbology, text_mode: Any = None) -> Any:
+@functools.cache
+@one_time()
+def _zxing() -> Any:
+    """Load the library that reads what symbols say."""
     import zxingcpp
 
+    return zxingcpp
+
+
+def _read(modules: NDArray[np.int8], symbology: Symbology, text_mode: Any = None) -> Any:
+    zxingcpp = _zxing()
     return zxingcpp.read_barcode(
         ~modules.view(np.uint8),  # 0 and 254
         formats=_formats(symbology),
@@ -162,6 +170,4 @@ def _one_of(names: Iterable[str | None]) -> str | None:
 
 @functools.cache
 def _formats(symbology: Symbology) -> Any:
-    import zxingcpp
-
-    return zxingcpp.barcode_formats_from_str(symbology.value)
+    return _zxing().barcode_formats_from_str(symbology.value)

@@ -13,6 +13,7 @@ from types import MappingProxyType
 import numpy as np
 from numpy.typing import NDArray
 
+from evqr.clock import one_time
 from evqr.config import DecodeConfig
 from evqr.symbol.chance import count_pads, log_padded_contents
 from evqr.symbol.decoded import Decoded, DecodeFailure, Effort
@@ -80,6 +81,7 @@ def anchors(version: int) -> tuple[Anchor, ...]:
 
 
 @functools.cache
+@one_time()
 def space(version: int) -> CodeSpace:
     """Return the code space of a version.
 

@@ -16,6 +16,7 @@ from typing import Literal
 import numpy as np
 from numpy.typing import NDArray
 
+from evqr.clock import one_time
 from evqr.symbol.reed_solomon import ReedSolomon, Symbols
 from evqr.symbol.space import Version, closed
 
@@ -67,6 +68,7 @@ class Roles:
 
 
 @functools.cache
+@one_time()
 def roles_of(version: Version) -> Roles:
     """Return what the modules of a version carry."""
     from segno import encoder  # here: it takes 20 ms to import
@@ -177,6 +179,7 @@ class CodewordLayout:
 
 
 @functools.cache
+@one_time()
 def codeword_layout(version: Version, level: ErrorLevel | None) -> CodewordLayout:
     """Return where the codewords of a version and level are."""
     from segno import consts
@@ -212,6 +215,7 @@ def codeword_layout(version: Version, level: ErrorLevel | None) -> CodewordLayou
 
 
 @functools.cache
+@one_time()
 def mask_signs(version: Version) -> NDArray[np.int8]:
     """Return the masks, (8, r r) or (4, r r) int8: -1 where a data module is inverted, +1 elsewhere."""
     from segno import encoder
@@ -243,6 +247,7 @@ class FormatWords:
 
 
 @functools.cache
+@one_time()
 def format_words(version: Version) -> FormatWords:
     """Return the words of format information of a version."""
     is_format = roles_of(version).format
@@ -299,6 +304,7 @@ class _Masked:
 
 
 @functools.cache
+@one_time()
 def _masked(version: Version, level: ErrorLevel | None, mask: int) -> _Masked:
     roles, words = roles_of(version), format_words(version)
     symbol = mask_signs(version)[mask].copy()
@@ -323,6 +329,7 @@ def unmasked(
 
 
 @functools.cache
+@one_time()
 def _placement(version: Version) -> NDArray[np.intp]:
     """Return the flat indices of the data modules in the order in which codewords fill them."""
     from segno import encoder
