@@ -217,21 +217,25 @@ class Solver:
         found : list of Detection or NotFound
             One a window, at its middle, with its share of the timings.  It does not depend on the others.
         """
-        return [
-            self._follow(window, detection)
-            for window, detection in zip(batch.windows, detections, strict=True)
-        ]
-
-    def _follow(self, window: Window, detection: Detection) -> Detection | NotFound:
+        if not detections:
+            return []
         clock, one = StageClock(), self.config.align
         with clock("stage_one"):
-            target = detection.at(window.middle_us)
-            region = region_around(target.pose, target.space, one)
-            measured = measure(window, target, region, self.config, workspace=self.workspace)
-        score = float(measured.alignment.score[0])
-        if score < one.min_score:
-            return NotFound(Reason.DISAGREES, f"{score:.2f}, where the code should be", score, clock.ms)
-        return measured.detection(target, region, measured.alignment.iterations, clock.ms)
+            targets = [
+                detection.at(window.middle_us)
+                for window, detection in zip(batch.windows, detections, strict=True)
+            ]
+            regions = [region_around(target.pose, target.space, one) for target in targets]
+            measured = measure(batch, targets, regions, self.config, workspace=self.workspace)
+        timings_ms = {stage: ms / len(targets) for stage, ms in clock.ms.items()}
+        found: list[Detection | NotFound] = []
+        for k, score in enumerate(measured.alignment.score.tolist()):
+            if score < one.min_score:
+                detail = f"{score:.2f}, where the code should be"
+                found.append(NotFound(Reason.DISAGREES, detail, score, timings_ms))
+            else:
+                found.append(measured.detection(k, targets[k], regions[k], timings_ms=timings_ms))
+        return found
 
     def solve(self, found: Sequence[Detection | NormalEquations]) -> list[CodeEstimate]:
         """Solve for the modules of codes, each from one window or from equations that were added up.
@@ -246,14 +250,8 @@ class Solver:
         estimates : list of CodeEstimate
             Of all modules of each.  None depends on the others.
         """
-        return [
-            solve_modules(
-                each.weighted if isinstance(each, Detection) else each,
-                self.config.modules,
-                workspace=self.workspace,
-            )
-            for each in found
-        ]
+        equations = [each.weighted if isinstance(each, Detection) else each for each in found]
+        return solve_modules(equations, self.config.modules, workspace=self.workspace)
 
 
 def _timed(found: MotionEstimate | Reason, clock: StageClock) -> MotionEstimate | NotFound:

@@ -39,21 +39,31 @@ class Mirror:
         self.host: NDArray[Any] = np.zeros(shape, dtype)
         self.device = backend.from_host(self.host, device)
         self._backend = backend
-        self._shared = np.shares_memory(self.host, backend.to_host(self.device))
+        self.shared = np.shares_memory(self.host, backend.to_host(self.device))
+        self._filled = 0
 
     def write(self, values: ArrayLike) -> None:
         """Set the array."""
         self.host[...] = values
         self.push()
 
+    def fill(self, values: ArrayLike) -> None:
+        """Set the first rows of the array; those behind them are 0."""
+        count = len(values)  # pyright: ignore[reportArgumentType]
+        self.host[:count] = values
+        if count < self._filled:
+            self.host[count : self._filled] = 0
+        self._filled = count
+        self.push()
+
     def push(self) -> None:
         """Bring to the device what was written to the host's copy."""
-        if not self._shared:
+        if not self.shared:
             self._backend.assign(self.device, self.host)
 
     def read(self) -> NDArray[Any]:
         """Wait for the device and give the host's copy, which later reads overwrite."""
-        if not self._shared:
+        if not self.shared:
             self.host[...] = self._backend.to_host(self.device)
         return self.host
 
@@ -149,6 +159,11 @@ class Workspace(Keeper):
         self.backend = backend
         self.device = device
         self._room = EventRoom(self, FEWEST_EVENTS)  # recorded launches know it by its capacity
+
+    @cached_property
+    def shared(self) -> bool:
+        """Whether device and host have the same memory: then a few large launches are no better than many."""
+        return self.mirror((1,)).shared
 
     def empty(self, *shape: int, dtype: DTypeLike = np.float32) -> Any:
         """Make a device array with undefined contents."""

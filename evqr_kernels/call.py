@@ -46,6 +46,10 @@ def checked(declaration: Callable[P, R]) -> Callable[P, R]:
         bound = signature.bind(*args, **kwargs)
         bound.apply_defaults()
         given = {name: host_view(name, value) for name, value in bound.arguments.items()}
+        for array in operation.inputs:
+            value = given.get(array.name)
+            if array.single and isinstance(value, np.ndarray) and value.ndim == len(array.shape) - 1:
+                given[array.name] = value[None]
         results = _run(operation, given, given.pop("backend"), given.pop("device"))
         return cast(R, results[0] if len(results) == 1 else tuple(results))
 
@@ -89,10 +93,12 @@ def check_call(
         if setting.least is not None and value is not None:
             checks.at_least(setting.name, value, setting.least)
     arrays = [a for a in operation.arguments if isinstance(a, (Input, Output)) and checked_name(a) in given]
+    absent: list[Input] = []
     # those whose sizes follow from others' after these
     for array in sorted(arrays, key=lambda array: not _is_plain(array)):
         value = given[checked_name(array)]
         if value is None and isinstance(array, Input) and array.default is not None:
+            absent.append(array)
             continue
         if isinstance(array, Input) and array.choices:
             checks.parameters(array.name, value, array.choices, array.shape[-1])
@@ -104,6 +110,8 @@ def check_call(
                 checks.ints(checked_name(array), value, *shape, dtype=array.integers)
             else:
                 checks.floats(checked_name(array), value, *shape)
+    for letter in (letter for array in absent for letter in _letters(array)):
+        checks.sizes.setdefault(letter, 1)
     (output, *others) = operation.outputs
     if out is not None and not others:
         checks.floats("out", out, *output.shape)
@@ -116,7 +124,7 @@ def check_call(
     if operation.check:
         operation.check(given, checks.sizes)
     for array in operation.inputs:
-        if array.index and array.name in given:
+        if array.index and given.get(array.name) is not None:
             checks.choice(array.name, given[array.name], checks.sizes[array.index])
     if values:
         _check_values(operation, given, checks)
@@ -127,9 +135,9 @@ def _check_values(operation: Operation, given: Mapping[str, Any], checks: ArrayC
     for array in operation.inputs:
         if array.ascending:
             checks.window_values(given[array.name])
-        if array.index:
+        if array.index and given[array.name] is not None:
             checks.index(array.name, given[array.name], checks.sizes[array.index])
-        if array.ranges:
+        if array.ranges and given[array.name] is not None:
             checks.ranges(array.name, given[array.name], checks.sizes[array.ranges])
         if array.most and given[array.name] is not None:
             checks.at_most(array.name, given[array.name], [size_of(n, checks.sizes) for n in array.most])
@@ -272,8 +280,8 @@ def _brought_back(backend: KernelBackend, host: NDArray[Any], there: Array) -> N
     return host
 
 
-FEW = {"B": 1, "N": 1, "K": 5}
-"""Sizes that are not many where none is given: windows, poses, taps of a filter."""
+FEW = {"B": 1, "N": 1, "K": 5, "M": 1}
+"""Sizes that are not many where none is given: windows, poses, taps of a filter, codes."""
 
 
 def example(backend: KernelBackend, device: str, op: str, given: Mapping[str, Any]) -> Callable[[], None]:

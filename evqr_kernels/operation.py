@@ -14,6 +14,7 @@ from __future__ import annotations
 import enum
 import functools
 import math
+from collections import defaultdict
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from types import CodeType
@@ -94,8 +95,11 @@ class Input(Array):
         What the entries of a row may be at most, and not below 0; empty for any.
     choices : tuple of int
         What its last size may be; empty for any.
-    default : float, tuple of float or letter, or None
+    default : float, tuple of float or size, or None
         What stands for it where a caller gives none: a value, or a row of them; None if it must be given.
+        How many rows, if nothing else tells: one.
+    single : bool
+        Whether a caller who has one of it may leave out its first axis.
     check : callable or None
         Raises ValueError unless its contents are right; called where the host can read them.
     made : callable or None
@@ -108,13 +112,15 @@ class Input(Array):
     most: tuple[Extent, ...] = ()
     choices: tuple[int, ...] = ()
     default: float | tuple[float | str, ...] | None = None
+    single: bool = False
     check: Callable[[NDArray[Any]], None] | None = None
     made: Callable[[Sizes, np.dtype[Any]], Any] | None = None
 
     def row(self, sizes: Sizes) -> list[float]:
         """Give what stands for each of its rows where a caller gives none; a letter without value is 0."""
         default = self.default if isinstance(self.default, tuple) else (self.default or 0.0,)
-        return [sizes.get(value, 0) if isinstance(value, str) else value for value in default]
+        known = defaultdict(int, sizes)
+        return [size_of(value, known) if isinstance(value, str) else value for value in default]
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -174,7 +174,8 @@ def reduce_image(size: Size, rng, dtype, ratio: float = 1.25) -> Problem:
 def mix_images(size: Size, rng, dtype, results: int = 8) -> Problem:
     images = _image(size, rng, dtype)
     weight = rng.normal(size=(results, size.batch)).astype(dtype)
-    return problem("mix_images", [images, weight], images.size, results * images.size)
+    inputs = [images[None], np.zeros(results, np.int32), weight]
+    return problem("mix_images", inputs, images.size, results * images.size)
 
 
 def correlate_templates(size: Size, rng, dtype) -> Problem:
@@ -288,11 +289,12 @@ def align_poses(size: Size, rng, dtype, iterations: int = 5) -> Problem:
         p, q = ((seen - place) / 2).transpose(2, 0, 1)
         images += (height * np.exp(-0.5 * (p * p + q * q)) * (0.4 * p - 0.25 * q)).reshape(images.shape)
     terms, factors = _terms()
-    settings = np.array([*[middle] * 4, 1e-3, 1e-3, 0.0])
+    settings = np.array([[*[middle] * 4, 1e-3, 1e-3, 0.0]])
     start = poses + np.array([0, 0, 0.3, 0, 0, -0.2, 0, 0, 0]) * poses[:, :1]
-    inputs = [images, np.arange(size.batch), points, table, table.T @ table, terms, factors, settings]
-    kinds = [dtype, np.int32, dtype, dtype, dtype, np.int32, np.int32, dtype]
-    inputs = [array.astype(kind) for array, kind in zip(inputs, kinds, strict=True)]
+    which = np.arange(size.batch, dtype=np.int32)
+    given = [images, which, 0 * which, points, table, np.array([[0, len(points)]], np.int32)]
+    given += [(table.T @ table)[None], terms, factors, np.array([6], np.int32), settings]
+    inputs = [array if array.dtype == np.int32 else array.astype(dtype) for array in given]
     samples = size.batch * len(points) * (iterations + 1)
     madds = samples * (COLUMNS + 18)
     start = start.astype(dtype)
@@ -316,7 +318,13 @@ def _rhs(size: Size, rng, dtype) -> tuple[list, int, float]:
     lattice = ((np.arange(count) + 0.5) / per).astype(dtype)
     profile, slope = rng.normal(size=(2, PROFILE_MODULES * per)).astype(dtype)
     gain = rng.normal(size=(size.batch, 2)).astype(dtype)
-    inputs = [_image(size, rng, dtype), _poses(size, rng, dtype), lattice, lattice, profile, slope, gain, per]
+    lattices = [
+        np.zeros(size.batch, np.int32),
+        lattice[None],
+        lattice[None],
+        np.full((1, 2), modules, np.int32),
+    ]
+    inputs = [_image(size, rng, dtype), _poses(size, rng, dtype), *lattices, profile, slope, gain, per]
     samples = size.batch * count**2
     taps = PROFILE_MODULES * per
     madds = 18 * samples + 2 * taps * size.batch * (count * modules + modules**2)
@@ -360,7 +368,11 @@ def pull_modules(size: Size, rng, dtype) -> Problem:
 
 
 def solve_code(size: Size, rng, dtype, iterations: int = 20) -> Problem:
-    system, start = _system(size, rng, dtype)
+    (rhs, stencil, damping, free), start = _system(size, rng, dtype)
+    side = size.modules
+    about = [np.zeros(size.batch, np.int32), free[None], np.array([[0, side, 0, side]], np.int32)]
+    unclear = np.ones((size.batch, side), np.int32)
+    system = [rhs, stencil, damping, *about, unclear, np.zeros(1, np.int32)]
     items = start.size * iterations
     madds = items * ((2 * REACH + 1) ** 2 + 5)
     return problem("solve_code", [*system, iterations, 0.0], items, madds, "module", start=start)

@@ -13,42 +13,19 @@ are linear in a with columns that are known beforehand, so the Gauss-Newton matr
 from __future__ import annotations
 
 import functools
-from dataclasses import dataclass, replace
+from collections.abc import Sequence
+from dataclasses import dataclass, fields, replace
 from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from evqr.config import AlignConfig
-from evqr.fit.model import MOMENTS, pose_table
+from evqr.fit.image import count_for
+from evqr.fit.tables import Codes, Level, PoseTables
 from evqr.geometry import compose
 from evqr.symbol.space import CodeSpace
 from evqr.workspace import Images, Step, Workspace
-
-
-@dataclass(frozen=True, kw_only=True)
-class Level:
-    """One step from coarse to fine.
-
-    Attributes
-    ----------
-    sigma : float [modules]
-        Blur of the model.
-    samples : int
-        Samples a module.
-    tilt : bool
-        Whether perspective is free where there is more than one finder pattern to hold it.
-    tolerance : float [modules]
-        Step at which it has converged.
-    beyond_patterns : bool
-        Whether only what is known outside of finder patterns counts.
-    """
-
-    sigma: float
-    samples: int
-    tilt: bool
-    tolerance: float
-    beyond_patterns: bool = False
 
 
 def coarse_levels(cfg: AlignConfig) -> tuple[Level, ...]:
@@ -78,7 +55,7 @@ class Alignment:
         Normalised correlation of the model with the image on the known modules, -1 to 1; see `judged`.
     noise : (N,) float64
         Variance of what the model leaves unexplained, a sample.
-    iterations : int
+    iterations : (N,) int
         Gauss-Newton steps taken, over all levels.
     """
 
@@ -86,7 +63,7 @@ class Alignment:
     gain: NDArray[np.float64]
     score: NDArray[np.float64]
     noise: NDArray[np.float64]
-    iterations: int
+    iterations: NDArray[np.int64]
 
     @property
     def best(self) -> int:
@@ -94,43 +71,36 @@ class Alignment:
         scores = self.score.tolist()
         return scores.index(max(scores))
 
-    def only(self, which: int) -> Alignment:
-        """Give one hypothesis alone."""
-        pick = slice(which, which + 1)
+    def pick(self, which: ArrayLike) -> Alignment:
+        """Give some hypotheses alone."""
+        which = np.asarray(which)
         return Alignment(
-            self.pose[pick], self.gain[pick], self.score[pick], self.noise[pick], self.iterations
+            self.pose[which], self.gain[which], self.score[which], self.noise[which], self.iterations[which]
         )
 
-
-@functools.cache
-def _terms(tilt: bool) -> tuple[NDArray[np.int32], NDArray[np.int32]]:
-    """Give the table's columns that make up each of the Jacobian's, and their factors, (P + 2, 4) each.
-
-    Factors: 0 nothing, 1 a_u, 2 a_v, 3 one.
-    """
-    uu, uv, vv = 0, 5, 12  # where L_uu, L_uv, L_vv start in the table
-    rows: list[tuple[tuple[int, int], ...]] = [((uu + w, 1), (uv + w, 2)) for w in range(3)]
-    rows += [((uv + w, 1), (vv + w, 2)) for w in range(3)]
-    if tilt:
-        for w in (3, 4):  # w_u u', w_u v' with L_uu and L_uv; w_v u', w_v v' with L_uv and L_vv
-            rows.append(((uu + w, 1), (uv + w, 2), (uv + w + 2, 1), (vv + w, 2)))
-    rows += [((MOMENTS - 2, 3),), ((MOMENTS - 1, 3),)]
-    padded = np.array([[*row, *[(0, 0)] * (4 - len(row))] for row in rows], np.int32)
-    return np.ascontiguousarray(padded[..., 0]), np.ascontiguousarray(padded[..., 1])
+    def putting(self, which: ArrayLike, others: Alignment) -> Alignment:
+        """Give the same with some hypotheses replaced; their iterations add up."""
+        which = np.asarray(which)
+        made = Alignment(*(getattr(self, f.name).copy() for f in fields(Alignment)))
+        for f in fields(Alignment):
+            getattr(made, f.name)[which] = getattr(others, f.name)
+        made.iterations[which] += self.iterations[which]
+        return made
 
 
 class Align(Step):
-    """Refines the poses of N hypotheses of one code space, each on one of some images, over levels."""
+    """Refines the poses of N hypotheses, each of a code and on one of some images, over levels."""
 
     def __init__(
-        self, images: Images, count: int, space: CodeSpace, levels: tuple[Level, ...], max_iterations: int,
-        cfg: AlignConfig, workspace: Workspace,
+        self, images: Images, count: int, tables: Sequence[PoseTables], max_iterations: int,
+        workspace: Workspace,
     ) -> None:  # fmt: skip
         super().__init__(workspace.backend)
         self._images, self._max_iterations = images.device, max_iterations
         self._image_idx = workspace.mirror((count,), np.int32)
-        self._tables = [_tables(space, level, cfg, workspace) for level in levels]
-        self._results = [workspace.mirror((count, 5)) for _ in levels]
+        self._table_idx = workspace.mirror((count,), np.int32)
+        self._tables = [each.arguments for each in tables]
+        self._results = [workspace.mirror((count, 5)) for _ in tables]
         self._pose = workspace.mirror((count, 9))
 
     @property
@@ -143,35 +113,44 @@ class Align(Step):
         """Gains (N, 2) on the device."""
         return self._results[-1].device[:, :2]
 
-    def write(self, pose: NDArray[np.float64], image_idx: ArrayLike) -> None:
-        """Say where to start (N, 3, 3) and on which images."""
-        self._pose.write(pose.reshape(-1, 9))
-        self._image_idx.write(image_idx)
+    @property
+    def number(self) -> Any:
+        """Numbers of their codes (N,) on the device."""
+        return self._table_idx.device
+
+    def write(self, pose: NDArray[np.float64], image_idx: NDArray[np.int32], numbers: Sequence[int]) -> None:
+        """Say where to start (N, 3, 3), on which images, and for which codes."""
+        self._count = len(numbers)
+        self._pose.fill(pose.reshape(-1, 9))
+        self._image_idx.fill(image_idx)
+        self._table_idx.fill(numbers)
 
     def launch(self) -> None:
         """Launch the kernels one by one."""
         for tables, result in zip(self._tables, self._results, strict=True):
             self._backend.align_poses(
-                self._images, self._image_idx.device, *tables, self._max_iterations, self._pose.device,
-                result.device,
+                self._images, self._image_idx.device, self._table_idx.device, *tables, self._max_iterations,
+                self._pose.device, result.device,
             )  # fmt: skip
 
     def read(self) -> Alignment:
         """Wait for the device and give what came out."""
-        last = self._results[-1].read().astype(np.float64)
+        count = self._count
+        results = [result.read()[:count] for result in self._results]
+        last = results[-1].astype(np.float64)
         return Alignment(
-            self._pose.read().astype(np.float64).reshape(-1, 3, 3),
+            self._pose.read()[:count].astype(np.float64).reshape(-1, 3, 3),
             last[:, :2],
             last[:, 2],
             last[:, 3],
-            sum(int(max(result.read()[:, 4].tolist())) for result in self._results),
+            functools.reduce(np.add, [result[:, 4].astype(np.int64) for result in results]),
         )
 
 
 def align(
     images: Images,
     pose: NDArray[np.float64],
-    space: CodeSpace,
+    spaces: CodeSpace | Sequence[CodeSpace],
     levels: tuple[Level, ...],
     cfg: AlignConfig,
     *,
@@ -179,7 +158,7 @@ def align(
     image_idx: NDArray[np.int32] | None = None,
     max_iterations: int | None = None,
 ) -> Alignment:
-    """Refine the poses of N hypotheses of one code space.
+    """Refine the poses of N hypotheses, all in one launch a level.
 
     Parameters
     ----------
@@ -187,8 +166,8 @@ def align(
         Of events, (B, Y, X).
     pose : (N, 3, 3) float64
         Code coordinates to cells, to start from.
-    space : CodeSpace
-        Of all of them.
+    spaces : CodeSpace or sequence of CodeSpace
+        Of all of them, or of each.
     levels : tuple of Level
         Coarse to fine.
     cfg : AlignConfig
@@ -203,30 +182,36 @@ def align(
     Returns
     -------
     alignment : Alignment
-        Of all N.
+        Of all N.  What comes out of one does not depend on the others.
     """
-    most = cfg.max_iterations if max_iterations is None else max_iterations
+    codes, most = Codes.of(workspace), cfg.max_iterations if max_iterations is None else max_iterations
+    if isinstance(spaces, CodeSpace):
+        spaces = [spaces] * len(pose)
+    numbers = [codes.number(space) for space in spaces]
+    tables = [codes.poses(level, cfg, numbers) for level in levels]
+    count = count_for(len(pose))
     step = images.once(
-        ("align", space, levels, len(pose), most, cfg),
-        lambda: Align(images, len(pose), space, levels, most, cfg, workspace),
+        ("align", levels, count, most, tuple(each.version for each in tables)),
+        lambda: Align(images, count, tables, most, workspace),
     )
-    step.write(pose, 0 if image_idx is None else image_idx)
+    which = np.zeros(len(pose), np.int32) if image_idx is None else image_idx
+    step.write(pose, which, numbers)
     step.run()
     found = step.read()
     if levels[-1].beyond_patterns:
         return found
-    return judged(images, found, space, levels[-1], cfg, workspace=workspace, image_idx=image_idx)
+    return judged(images, found, spaces, levels[-1], cfg, workspace=workspace, image_idx=which)
 
 
 def judged(
     images: Images,
     found: Alignment,
-    space: CodeSpace,
+    spaces: Sequence[CodeSpace],
     level: Level,
     cfg: AlignConfig,
     *,
     workspace: Workspace,
-    image_idx: NDArray[np.int32] | None = None,
+    image_idx: NDArray[np.int32],
 ) -> Alignment:
     """Give poses with scores that tell kinds and sizes of symbols apart.
 
@@ -234,58 +219,58 @@ def judged(
     a pattern too, agrees with it nearly as well.  Half of the score then is the correlation with the rest,
     timing and quiet zone, alone.
     """
-    if not space.single_pattern:
+    single = [k for k, space in enumerate(spaces) if space.single_pattern]
+    if not single:
         return found
     beyond = align(
-        images, found.pose, space, (replace(level, beyond_patterns=True),), cfg, workspace=workspace,
-        image_idx=image_idx, max_iterations=0,
+        images, found.pose[single], [spaces[k] for k in single], (replace(level, beyond_patterns=True),), cfg,
+        workspace=workspace, image_idx=image_idx[single], max_iterations=0,
     )  # fmt: skip
-    return replace(found, score=0.5 * (found.score + beyond.score))
-
-
-_Tables = tuple[Any, Any, Any, Any, Any, Any]
-
-
-def _tables(space: CodeSpace, level: Level, cfg: AlignConfig, workspace: Workspace) -> _Tables:
-    """Give what `align_poses` takes of a level: points, table, gram, terms, factors, settings."""
-    table = pose_table(space, level.sigma, level.samples, level.beyond_patterns)
-    tilt = level.tilt and not space.single_pattern
-    terms, factors = _terms(tilt)
-    settings = (*table.centre, *table.scale, cfg.ridge, cfg.damping, level.tolerance)
-    return (
-        workspace.table(("points", space, level), table.points),
-        workspace.table(("table", space, level), table.table),
-        workspace.table(("gram", space, level), table.gram.astype(np.float32)),
-        workspace.table(("terms", tilt), terms),
-        workspace.table(("factors", tilt), factors),
-        workspace.put(np.array(settings, np.float32)),
-    )
+    score = found.score.copy()
+    score[single] = 0.5 * (score[single] + beyond.score)
+    return replace(found, score=score)
 
 
 def shifted(pose: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Give a pose (3, 3) and its neighbours one module away, (9, 3, 3); the pose itself is the fifth."""
+    """Give poses (N, 3, 3) and their neighbours one module away, (N, 9, 3, 3); a pose itself is the fifth."""
     steps = np.tile(np.eye(3), (9, 1, 1))
     steps[:, 0, 2] = np.tile((-1.0, 0.0, 1.0), 3)
     steps[:, 1, 2] = np.repeat((-1.0, 0.0, 1.0), 3)
-    return compose(pose, steps)
+    return compose(pose[:, None], steps)
 
 
 def escape_side_minimum(
-    images: Images, found: Alignment, space: CodeSpace, cfg: AlignConfig, *, workspace: Workspace
-) -> Alignment | None:
-    """Look at the poses one module away from one that was refined from the search.
+    images: Images, found: Alignment, spaces: Sequence[CodeSpace], cfg: AlignConfig, *, workspace: Workspace
+) -> tuple[Alignment, NDArray[np.bool_]]:
+    """Look at the poses one module away from those that were refined from the search, one an image.
 
     The cost has a side minimum one module off, where finder patterns half agree.  Unless the score is better
     than that allows, the neighbours are looked at, not refined: from a side minimum the true pose is exactly
-    one module away.  None where no neighbour is better.
+    one module away.
+
+    Gives the poses, and which are others (N,): those that a neighbour is better than.
     """
-    if found.score[0] >= cfg.good_score:
-        return None
+    escaped = np.zeros(len(spaces), np.bool_)
+    unsure = np.flatnonzero(found.score < cfg.good_score).astype(np.int32)
+    if not len(unsure):
+        return found, escaped
     levels = fine_levels(cfg)
-    around = shifted(found.pose[0])
-    scored = align(images, around, space, levels[-1:], cfg, workspace=workspace, max_iterations=0)
-    best = scored.best
-    if scored.score[best] <= found.score[0] + cfg.shift_gain:
-        return None
-    again = align(images, around[best : best + 1], space, levels, cfg, workspace=workspace)
-    return replace(again, iterations=found.iterations + again.iterations)
+    around = shifted(found.pose[unsure])
+    around_each = [spaces[k] for k in unsure.tolist() for _ in range(9)]
+    scored = align(
+        images, around.reshape(-1, 3, 3), around_each, levels[-1:], cfg,
+        workspace=workspace, image_idx=unsure.repeat(9), max_iterations=0,
+    )  # fmt: skip
+    scores = scored.score.reshape(-1, 9)
+    best = scores.argmax(axis=1)
+    rows = np.arange(len(unsure))
+    better = np.flatnonzero(scores[rows, best] > found.score[unsure] + cfg.shift_gain)
+    if not len(better):
+        return found, escaped
+    which = unsure[better]
+    again = align(
+        images, around[better, best[better]], [spaces[k] for k in which.tolist()], levels, cfg,
+        workspace=workspace, image_idx=which,
+    )  # fmt: skip
+    escaped[which] = True
+    return found.putting(which, again), escaped

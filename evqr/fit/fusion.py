@@ -40,8 +40,8 @@ class Fusion:
         weighted = equations.weighted(noise)
         if self._vote is Vote.INFORMATION:
             self._sum = weighted if self._sum is None else self._sum + weighted
-            return solve_modules(self._sum, self._cfg, workspace=self._workspace)
-        alone = solve_modules(weighted, self._cfg, workspace=self._workspace)
+            return solve_modules([self._sum], self._cfg, workspace=self._workspace)[0]
+        (alone,) = solve_modules([weighted], self._cfg, workspace=self._workspace)
         if self._vote is Vote.MODE:
             ballot = np.sign(alone.q).astype(np.float64)
         else:

@@ -12,15 +12,17 @@ lags: sharpening also sharpens noise.
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+
 import numpy as np
 from numpy.typing import NDArray
 
 from evqr.config import ReadConfig
 from evqr.fit.align import Align, Alignment, fine_levels
+from evqr.fit.detection import Target
 from evqr.fit.image import Deposit, Sharpen
 from evqr.fit.region import Region
-from evqr.motion import Motion
-from evqr.symbol.space import CodeSpace
+from evqr.fit.tables import Codes, PoseTables
 from evqr.workspace import Images, Step, Workspace
 
 CORNERS = ((0.0, 0.0), (1.0, 0.0), (0.0, 1.0))
@@ -30,30 +32,27 @@ LEAST_ON = 0.1
 """ON lag around which is tried where none is better than those that were tried first [modules]."""
 
 
-def estimate_lag(
+def estimate_lags(
     deposit: Deposit,
-    motion: Motion,
-    region: Region,
+    targets: Sequence[Target],
+    regions: Sequence[Region],
     pose: NDArray[np.float64],
-    space: CodeSpace,
     cfg: ReadConfig,
     *,
     workspace: Workspace,
-) -> tuple[tuple[float, float], Alignment]:
-    """Estimate the lags at a pose that stage one found without them.
+) -> tuple[NDArray[np.float64], Alignment]:
+    """Estimate the lags at poses that stage one found without them, one a window.
 
     Parameters
     ----------
     deposit : Deposit
-        Of the events on the region, made already.
-    motion : Motion
-        Of the code.
-    region : Region
-        Around the code.
-    pose : (3, 3) float64
-        Code coordinates to cells of the region.
-    space : CodeSpace
-        Of the code.
+        Of the windows' events on the regions, made already.
+    targets : sequence of Target
+        The codes, and how they move.
+    regions : sequence of Region
+        Around them.
+    pose : (N, 3, 3) float64
+        Code coordinates to cells of the regions.
     cfg : ReadConfig
         Settings.
     workspace : Workspace
@@ -61,44 +60,55 @@ def estimate_lag(
 
     Returns
     -------
-    lag_px : (float, float) [px]
+    lag_px : (N, 2) float64 [px]
         Of ON and of OFF events.
     alignment : Alignment
-        Of the pose with these lags, one hypothesis.
+        Of the poses with these lags.
     """
-    lag = cfg.lag
-    step = deposit.once(("lag", space, cfg.align, lag), lambda: _Lag(deposit, space, cfg, workspace))
-    direction = motion.direction
-    module = region.cell * cfg.align.cells_a_module
-    first = [(on * module, lag.off_over_on * on * module) for on in lag.first_on]
+    lag, count = cfg.lag, len(targets)
+    spaces, motions = [target.space for target in targets], [target.motion for target in targets]
+    codes, (level,) = Codes.of(workspace), fine_levels(cfg.align)
+    numbers = [codes.number(space) for space in spaces]
+    tables = codes.poses(level, cfg.align, numbers)
+    step = deposit.once(
+        ("lag", tables.version, cfg.align, lag), lambda: _Lag(deposit, tables, cfg, workspace)
+    )
+    cell = np.array([region.cell for region in regions])
+    on = cell[:, None] * cfg.align.cells_a_module * np.array(lag.first_on)
+    first = np.stack([on, lag.off_over_on * on], axis=2)
     # a lagging edge is seen behind the true one by the mean lag
-    start = np.tile(pose, (len(first), 1, 1))
-    for ahead, (on, off) in zip(start, first, strict=True):
-        ahead[:2] += np.outer(direction * 0.5 * (on + off) / region.cell, pose[2])
-    step.corners.write(motion, region, CORNERS)
-    step.first.write(first, start)
+    behind = 0.5 * first.sum(axis=2) / cell[:, None]
+    start = pose[:, None].repeat(len(lag.first_on), axis=1)
+    along = np.array([motion.direction for motion in motions])
+    start[:, :, :2] += (behind[:, :, None] * along[:, None])[..., None] * pose[:, None, 2:]
+    step.corners.write(motions, regions, [CORNERS] * count)
+    step.first.write(first, start, numbers)
     step.run()
+    rows = np.arange(count)
     tried = step.first.align.read()
-    best = tried.best
-    base_on, base_off = first[best] if best else (LEAST_ON * module, lag.off_over_on * LEAST_ON * module)
-    second = [first[best]] + [
-        (base_on * f, base_off * g) for f in lag.factors for g in lag.factors if (f, g) != (1.0, 1.0)
-    ]
-    step.second.write(second, np.tile(tried.pose[best], (len(second), 1, 1)))
+    best = tried.score.reshape(count, -1).argmax(axis=1)
+    from_pair = first[rows, best]
+    least = cell * cfg.align.cells_a_module * LEAST_ON
+    about = np.where(best[:, None] > 0, from_pair, least[:, None] * (1.0, lag.off_over_on))
+    factors = [(f, g) for f in lag.factors for g in lag.factors if (f, g) != (1.0, 1.0)]
+    second = np.concatenate([from_pair[:, None], about[:, None] * np.array(factors)], axis=1)
+    start = tried.pose.reshape(count, -1, 3, 3)[rows, best][:, None].repeat(second.shape[1], axis=1)
+    step.second.write(second, start, numbers)
     step.second.run()
     tried = step.second.align.read()
-    return second[tried.best], tried.only(tried.best)
+    best = tried.score.reshape(count, -1).argmax(axis=1)
+    return second[rows, best], tried.pick(rows * second.shape[1] + best)
 
 
 class _Lag(Step):
     """The images for the corners, and the pairs that are tried first; then the pairs around the best."""
 
-    def __init__(self, deposit: Deposit, space: CodeSpace, cfg: ReadConfig, workspace: Workspace) -> None:
+    def __init__(self, deposit: Deposit, tables: PoseTables, cfg: ReadConfig, workspace: Workspace) -> None:
         super().__init__(workspace.backend)
-        self.corners = Sharpen(deposit.cells, len(CORNERS), cfg.align.blur_cells, workspace)
+        self.corners = Sharpen(deposit, cfg.align.blur_cells, workspace, each=len(CORNERS))
         self.first, self.second = (
-            _Pairs(self.corners.images, count, space, cfg, workspace)
-            for count in (len(cfg.lag.first_on), len(cfg.lag.factors) ** 2)
+            _Pairs(self.corners.images, each, tables, cfg, workspace)
+            for each in (len(cfg.lag.first_on), len(cfg.lag.factors) ** 2)
         )
 
     def launch(self) -> None:
@@ -108,27 +118,31 @@ class _Lag(Step):
 
 
 class _Pairs(Step):
-    """Images for some pairs of lags, mixed from those for `CORNERS`, and poses on them.
+    """Images for some pairs of lags a window, mixed from those for `CORNERS`, and poses on them.
 
     A step or two settle which pair is best; what they leave of the pose the next alignment takes up.
     """
 
     def __init__(
-        self, corners: Images, count: int, space: CodeSpace, cfg: ReadConfig, workspace: Workspace
+        self, corners: Images, each: int, tables: PoseTables, cfg: ReadConfig, workspace: Workspace
     ) -> None:
         super().__init__(workspace.backend)
-        self._corners, self._weight = corners.device, workspace.mirror((count, 3))
-        self._images = Images(workspace.empty(count, *self._corners.shape[1:]))
-        one = cfg.align
-        most = cfg.lag.max_iterations
-        self.align = Align(self._images, count, space, fine_levels(one), most, one, workspace)
+        count, height, width = corners.device.shape
+        windows = count // len(CORNERS)
+        self._corners = corners.device.reshape((windows, len(CORNERS), height, width))
+        self._each, self._weight = each, workspace.mirror((windows * each, len(CORNERS)))
+        self._window = workspace.put(np.arange(windows, dtype=np.int32).repeat(each))
+        self._images = Images(workspace.empty(windows * each, height, width))
+        self.align = Align(self._images, windows * each, [tables], cfg.lag.max_iterations, workspace)
 
-    def write(self, pairs: list[tuple[float, float]], start: NDArray[np.float64]) -> None:
-        """Say which lags [px], and the poses (N, 3, 3) to start from."""
-        self._weight.write([(1.0 - on - off, on, off) for on, off in pairs])
-        self.align.write(start, range(len(pairs)))
+    def write(self, pairs: NDArray[np.float64], start: NDArray[np.float64], numbers: Sequence[int]) -> None:
+        """Say which lags (N, each, 2) [px], the poses (N, each, 3, 3) to start from, and of which codes."""
+        on, off = pairs.reshape(-1, 2).T
+        self._weight.fill(np.stack([1.0 - on - off, on, off], axis=1))
+        images = np.arange(len(on), dtype=np.int32)
+        self.align.write(start, images, np.repeat(numbers, self._each).tolist())
 
     def launch(self) -> None:
         """Launch the kernels one by one."""
-        self._backend.mix_images(self._corners, self._weight.device, self._images.device)
+        self._backend.mix_images(self._corners, self._window, self._weight.device, self._images.device)
         self.align.launch()

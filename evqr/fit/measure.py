@@ -1,113 +1,135 @@
-"""A code whose pose is nearly known: from a window's events to its pose and equations in one sequence.
+"""Codes whose poses are nearly known: from windows' events to poses and equations in one sequence.
 
-This is what following a code costs a window, and the last step of finding one.  The device does all of it
-without the host: events to cells, cells to the image, stage one at its finest level, and with the pose and
-gain that it ends with stage two's right-hand side.
+This is what following codes costs, and the last step of finding them.  The device does all of it without the
+host, for all windows side by side: events to cells, cells to images, stage one at its finest level, and with
+the poses and gains that it ends with stage two's right-hand sides.
 """
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
 
 from evqr.config import ReadConfig
 from evqr.events.batch import EventBatch
-from evqr.events.window import Window
 from evqr.fit.align import Align, Alignment, fine_levels, judged
 from evqr.fit.detection import NO_TIMINGS, Detection, Target
 from evqr.fit.image import Deposit, Sharpen, depositing
 from evqr.fit.modules import Equations, NormalEquations
 from evqr.fit.region import Region
+from evqr.fit.tables import Codes, ModuleTables, PoseTables, room_for
 from evqr.geometry import compose
-from evqr.symbol.space import CodeSpace
 from evqr.workspace import Step, Workspace
 
 
 @dataclass(frozen=True, eq=False)
-class Measurement:
-    """What a window says of a code, on a region of it.
+class Measurements:
+    """What windows say of a code each, on a region of theirs.
 
     Attributes
     ----------
     alignment : Alignment
-        Pose in cells of the region, gain, score and noise.
-    equations : NormalEquations
-        Of the modules, for that pose and gain.
+        Poses in cells of the regions, gains, scores and noises.
+    equations : list of NormalEquations
+        Of the modules, for these poses and gains.
     """
 
     alignment: Alignment
-    equations: NormalEquations
+    equations: list[NormalEquations]
 
     def detection(
-        self, target: Target, region: Region, iterations: int, timings_ms: Mapping[str, float] = NO_TIMINGS
+        self,
+        k: int,
+        target: Target,
+        region: Region,
+        iterations: int = 0,
+        timings_ms: Mapping[str, float] = NO_TIMINGS,
     ) -> Detection:
-        """Give what was measured in px of the sensor, after so many iterations in all."""
+        """Give what one window says in px of the sensor, after so many iterations before."""
         found = self.alignment
-        pose = compose(region.to_px, found.pose[0])
         return Detection(
-            target=Target(target.space, pose / pose[2, 2], target.motion, target.tau_us),
-            gain=found.gain[0],
-            score=float(found.score[0]),
-            noise=float(found.noise[0]),
-            equations=self.equations,
-            iterations=iterations,
+            target=Target(target.space, in_px(found.pose[k], region), target.motion, target.tau_us),
+            gain=found.gain[k],
+            score=float(found.score[k]),
+            noise=float(found.noise[k]),
+            equations=self.equations[k],
+            iterations=iterations + int(found.iterations[k]),
             timings_ms=timings_ms,
         )
 
 
+def in_px(pose: NDArray[np.float64], region: Region) -> NDArray[np.float64]:
+    """Give a pose (3, 3) in cells of a region in px of the sensor."""
+    pose = compose(region.to_px, pose)
+    return pose / pose[2, 2]
+
+
 class Measure(Step):
-    """The sequence for one size of region; with ``from_events``, or from the cells that are there."""
+    """The sequence for windows on regions of some size; with ``from_events``, or from the cells there are."""
 
     def __init__(
-        self, deposit: Deposit, from_events: bool, space: CodeSpace, cfg: ReadConfig, workspace: Workspace
-    ) -> None:
+        self, deposit: Deposit, from_events: bool, poses: PoseTables, modules: ModuleTables,
+        room: tuple[int, int], cfg: ReadConfig, workspace: Workspace,
+    ) -> None:  # fmt: skip
         super().__init__(workspace.backend)
-        one = cfg.align
-        self._space, self._cfg, self._workspace = space, one, workspace
-        self.sharpen = Sharpen(deposit.cells, 1, one.blur_cells, workspace)
+        one, count = cfg.align, deposit.cells.shape[0]
+        self._cfg, self._workspace = one, workspace
+        self.sharpen = Sharpen(deposit, one.blur_cells, workspace)
         self.images = self.sharpen.images
-        self.align = Align(self.images, 1, space, fine_levels(one), one.max_iterations, one, workspace)
-        self.equations = Equations(
-            self.images, self.align.pose, self.align.gain, space, one.sigma, cfg.modules, workspace
-        )
+        self.align = Align(self.images, count, [poses], one.max_iterations, workspace)
+        self.equations = Equations(self.images, self.align, modules, room, one.sigma, cfg.modules, workspace)
         self._steps = [*([deposit] if from_events else []), self.sharpen, self.align, self.equations]
 
-    def write(self, target: Target, region: Region) -> None:
-        """Say what is looked for and where the region lies."""
-        self.sharpen.write(target.motion, region, [target.lag_px])
-        self.align.write(compose(region.from_px, target.pose)[None], 0)
+    def write(self, targets: Sequence[Target], regions: Sequence[Region], numbers: Sequence[int]) -> None:
+        """Say what is looked for and where the regions lie."""
+        self.sharpen.write(
+            [target.motion for target in targets], regions, [target.lag_px for target in targets]
+        )
+        start = [
+            compose(region.from_px, target.pose) for target, region in zip(targets, regions, strict=True)
+        ]
+        self._spaces = [target.space for target in targets]
+        self.align.write(np.array(start), np.arange(len(targets), dtype=np.int32), numbers)
 
     def launch(self) -> None:
         """Launch the kernels one by one."""
         for step in self._steps:
             step.launch()
 
-    def read(self) -> Measurement:
+    def read(self) -> Measurements:
         """Wait for the device and give what came out."""
         (level,) = fine_levels(self._cfg)
-        found = self.align.read()
-        alignment = judged(self.images, found, self._space, level, self._cfg, workspace=self._workspace)
-        return Measurement(alignment, self.equations.read(alignment.gain[0]))
+        found, spaces = self.align.read(), self._spaces
+        # before anything else is aligned: the equations are of this
+        equations = self.equations.read(found.gain, spaces)
+        alignment = judged(
+            self.images, found, spaces, level, self._cfg, workspace=self._workspace,
+            image_idx=np.arange(len(spaces), dtype=np.int32),
+        )  # fmt: skip
+        return Measurements(alignment, equations)
 
 
 def measuring(
-    window: Window,
-    target: Target,
-    region: Region,
+    batch: EventBatch,
+    targets: Sequence[Target],
+    regions: Sequence[Region],
     cfg: ReadConfig,
     *,
     workspace: Workspace,
 ) -> Measure:
-    """Make ready to measure a code in a window: over the last measurement on a region of this size.
+    """Make ready to measure a code in each of some windows: over the last measurement on as large regions.
 
     Parameters
     ----------
-    window : Window
+    batch : EventBatch
         What is measured.
-    target : Target
-        What is looked for, at the middle of the window.
-    region : Region
-        Around it.
+    targets : sequence of Target
+        What is looked for in each, at the middle of the window.
+    regions : sequence of Region
+        Around them.
     cfg : ReadConfig
         Settings.
     workspace : Workspace
@@ -116,27 +138,33 @@ def measuring(
     Returns
     -------
     step : Measure
-        To be run and read, before it is made ready for another window.
+        To be run and read, before it is made ready for other windows.
     """
-    alone = EventBatch.of([window])
-    deposit, from_events = depositing(alone, [target.motion], [region], workspace=workspace)
-    step = deposit.once(
-        ("measure", from_events, target.space, cfg.align, cfg.modules),
-        lambda: Measure(deposit, from_events, target.space, cfg, workspace),
+    spaces = [target.space for target in targets]
+    deposit, from_events = depositing(
+        batch, [target.motion for target in targets], regions, workspace=workspace
     )
-    step.write(target, region)
+    codes, (level,) = Codes.of(workspace), fine_levels(cfg.align)
+    numbers = [codes.number(space) for space in spaces]
+    poses, modules = codes.poses(level, cfg.align, numbers), codes.modules(cfg.modules, numbers)
+    room = room_for(spaces)
+    step = deposit.once(
+        ("measure", from_events, room, poses.version, modules.version, cfg.align, cfg.modules),
+        lambda: Measure(deposit, from_events, poses, modules, room, cfg, workspace),
+    )
+    step.write(targets, regions, numbers)
     return step
 
 
 def measure(
-    window: Window,
-    target: Target,
-    region: Region,
+    batch: EventBatch,
+    targets: Sequence[Target],
+    regions: Sequence[Region],
     cfg: ReadConfig,
     *,
     workspace: Workspace,
-) -> Measurement:
-    """Refine the pose of a code in a window and build its equations; parameters as of `measuring`."""
-    step = measuring(window, target, region, cfg, workspace=workspace)
+) -> Measurements:
+    """Refine the poses of codes in windows and build their equations; parameters as of `measuring`."""
+    step = measuring(batch, targets, regions, cfg, workspace=workspace)
     step.run()
     return step.read()

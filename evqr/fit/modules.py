@@ -14,20 +14,20 @@ clear.
 from __future__ import annotations
 
 import functools
+from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from evqr.config import ModulesConfig
-from evqr.fit.model import lattices, profiles, quiet_modules
+from evqr.fit.align import Align
+from evqr.fit.image import count_for
+from evqr.fit.model import profiles, quiet_modules
+from evqr.fit.tables import REACH, Codes, ModuleTables, room_for
 from evqr.symbol.space import CodeSpace
 from evqr.values import Value
 from evqr.workspace import Images, Step, Workspace
-
-REACH = 2
-"""Modules on either side that a module meets in the normal matrix."""
 
 SUPPORT = 5
 """Modules that a module's blurred profile is sampled over."""
@@ -123,127 +123,131 @@ def _profile_tables(sigma: float, samples: int) -> tuple[NDArray[np.float64], ..
 
 
 class Equations(Step):
-    """Right-hand side of a window's normal equations, for a pose (1, 9) and a gain (1, 2) on the device."""
+    """Right-hand sides of windows' normal equations, for the poses and gains that an alignment ends with."""
 
     def __init__(
-        self, images: Images, pose: Any, gain: Any, space: CodeSpace, sigma: float, cfg: ModulesConfig,
-        workspace: Workspace,
+        self, images: Images, poses: Align, tables: ModuleTables, room: tuple[int, int], sigma: float,
+        cfg: ModulesConfig, workspace: Workspace,
     ) -> None:  # fmt: skip
         super().__init__(workspace.backend)
-        self._space = space
-        self._image, self._pose, self._gain = images.device, pose, gain
-        across, down = lattices(space, cfg.samples)
-        rows, columns = len(down) // cfg.samples, len(across) // cfg.samples
+        count = images.device.shape[0]
+        rows, columns = room
+        self._image, self._poses, self._tables = images.device, poses, tables
         b, slope, bb, ss, bs = _profile_tables(sigma, cfg.samples)
         mixed = np.outer(bs, bs[::-1])
         self._products = np.outer(bb, ss), np.outer(ss, bb), mixed + mixed.T
-        self._across, self._down, self._profile, self._slope = (
-            workspace.put(f.astype(np.float32)) for f in (across, down, b, slope)
-        )
+        self._profile, self._slope = (workspace.put(f.astype(np.float32)) for f in (b, slope))
         self._samples = cfg.samples
         self._scratch = workspace.scratch(
-            "code_rhs", B=1, S=len(across), T=len(down), samples_a_module=cfg.samples
-        )
-        self._rhs = workspace.mirror((1, rows, columns))
+            "code_rhs", B=count, S=columns * cfg.samples, T=rows * cfg.samples, P=len(b),
+            samples_a_module=cfg.samples,
+        )  # fmt: skip
+        self._rhs = workspace.mirror((count, rows, columns))
 
     def launch(self) -> None:
         """Launch the kernels one by one."""
+        tables, poses = self._tables, self._poses
         self._backend.code_rhs(
-            self._image, self._pose, self._across, self._down, self._profile, self._slope, self._gain,
-            self._samples, *self._scratch, self._rhs.device,
+            self._image, poses.pose, poses.number, tables["lattice_u"], tables["lattice_v"], tables["sides"],
+            self._profile, self._slope, poses.gain, self._samples, *self._scratch, self._rhs.device,
         )  # fmt: skip
 
-    def read(self, gain: NDArray[np.float64]) -> NormalEquations:
-        """Wait for the device and give the equations, whose matrix depends on the gain alone."""
+    def read(self, gain: NDArray[np.float64], spaces: Sequence[CodeSpace]) -> list[NormalEquations]:
+        """Wait for the device and give the equations, whose matrices depend on the gains (N, 2) alone."""
         across, down, mixed = self._products
-        a_u, a_v = gain.tolist()
+        a_u, a_v = gain[:, 0, None, None], gain[:, 1, None, None]
         stencil = a_u * a_u * across + a_v * a_v * down + a_u * a_v * mixed
-        return NormalEquations(self._space, stencil, self._rhs.read()[0].astype(np.float64))
-
-
-@functools.cache
-def _fixed(space: CodeSpace) -> tuple[NDArray[np.int32], NDArray[np.float32]]:
-    """Which modules are free, and q - 1 to start from: known values, and the middle where free."""
-    quiet = quiet_modules(space)
-    free = np.pad(~space.known, quiet).astype(np.int32)
-    start = np.pad(np.where(space.known, space.values - 1.0, -1.0), quiet).astype(np.float32)
-    return free, start
+        rhs = self._rhs.read()[: len(spaces)].astype(np.float64)
+        found = []
+        for k, space in enumerate(spaces):
+            around = 2 * quiet_modules(space)
+            seen = rhs[k, : space.rows + around, : space.columns + around]
+            found.append(NormalEquations(space, stencil[k], seen))
+        return found
 
 
 class Solution(Step):
-    """One pass: the modules, and the right-hand side that pulls the next pass to them.
+    """Modules of N codes, in passes, of which each pulls them to what the one before says.
 
-    After `write` comes `run_first`, then `run` for every further pass.
+    A code of which nearly all modules are clear is left as it is by the passes that are left.
     """
 
-    def __init__(self, space: CodeSpace, cfg: ModulesConfig, workspace: Workspace) -> None:
+    def __init__(
+        self,
+        count: int,
+        tables: ModuleTables,
+        room: tuple[int, int],
+        cfg: ModulesConfig,
+        workspace: Workspace,
+    ) -> None:
         super().__init__(workspace.backend)
-        free, self._start = _fixed(space)
-        (rows, columns), quiet, reach = free.shape, quiet_modules(space), 2 * REACH + 1
-        self._inner = np.s_[quiet : rows - quiet, quiet : columns - quiet]
-        self._cfg, self._free = cfg, workspace.put(free)
-        self._seen, self._q = (workspace.mirror((1, rows, columns)) for _ in range(2))
-        self._stencil, self._damping = workspace.mirror((1, reach, reach)), workspace.mirror((1,))
-        self._scratch = workspace.scratch("solve_code", B=1, V=rows, U=columns)
-        self._rhs = workspace.empty(1, rows, columns)
-        self._iterations = workspace.mirror((1,), np.int32)
-        self._unclear = workspace.mirror((1, rows), np.int32)
-        self.run_first = workspace.backend.record(self.launch_first)
+        reach = 2 * REACH + 1
+        self._cfg, self._tables = cfg, tables
+        self._numbers: list[int] = [0] * count
+        self._number = workspace.mirror((count,), np.int32)
+        self._seen, self._q = (workspace.mirror((count, *room)) for _ in range(2))
+        self._stencil, self._damping = workspace.mirror((count, reach, reach)), workspace.mirror((count,))
+        self._scratch = workspace.scratch("solve_code", B=count, V=room[0], U=room[1])
+        self._rhs = workspace.empty(count, *room)
+        self._iterations = [workspace.mirror((count,), np.int32) for _ in range(cfg.passes)]
+        self._unclear = workspace.empty(count, room[0], dtype=np.int32)
 
-    def write(self, equations: NormalEquations) -> None:
-        """Say what was seen."""
-        cfg = self._cfg
-        # one overall scale: float32 on the device, and many windows add up
-        peak = float(equations.stencil[REACH, REACH]) or 1.0
-        np.multiply(equations.rhs, 1.0 / peak, out=self._seen.host[0], casting="unsafe")
-        self._seen.push()
-        self._stencil.write(equations.stencil / peak)
-        least, most = cfg.damping_range
-        self._damping.write(min(max(cfg.damping / peak, least), most))
-        self._q.write(self._start)
-
-    def launch_first(self) -> None:
-        """Launch the first pass: modules are pulled to what they start from, free ones to grey."""
-        self._pull()
-        self.launch()
+    def write(self, equations: Sequence[NormalEquations], numbers: Sequence[int]) -> None:
+        """Say what was seen, and of which codes."""
+        least, most = self._cfg.damping_range
+        seen, q, stencil, damping = (m.host for m in (self._seen, self._q, self._stencil, self._damping))
+        numbers = [*numbers, *[0] * (len(self._numbers) - len(numbers))]
+        for k, number in enumerate(numbers):
+            if number != self._numbers[k]:
+                seen[k] = q[k] = 0.0
+        for k, each in enumerate(equations):
+            # one overall scale: float32 on the device, and many windows add up
+            peak = float(each.stencil[REACH, REACH]) or 1.0
+            rows, columns = each.rhs.shape
+            np.multiply(each.rhs, 1.0 / peak, out=seen[k, :rows, :columns], casting="unsafe")
+            np.multiply(each.stencil, 1.0 / peak, out=stencil[k], casting="unsafe")
+            damping[k] = min(max(self._cfg.damping / peak, least), most)
+            q[k, :rows, :columns] = self._tables.start[numbers[k]]
+        for mirror in (self._seen, self._q, self._stencil, self._damping):
+            mirror.push()
+        self._numbers = numbers
+        self._number.write(numbers)
 
     def launch(self) -> None:
-        """Launch the kernels one by one."""
-        cfg = self._cfg
-        self._backend.solve_code(
-            self._rhs, self._stencil.device, self._damping.device, self._free, cfg.max_iterations,
-            cfg.tolerance, *self._scratch, self._q.device, self._iterations.device,
-        )  # fmt: skip
-        self._pull()
+        """Launch the kernels one by one: modules are pulled to what they start from, free ones to grey."""
+        cfg, tables, number = self._cfg, self._tables, self._number.device
+        for iterations in self._iterations:
+            self._backend.pull_modules(
+                self._seen.device, self._q.device, self._damping.device, cfg.certainty, self._rhs,
+                self._unclear,
+            )  # fmt: skip
+            self._backend.solve_code(
+                self._rhs, self._stencil.device, self._damping.device, number, tables["free"],
+                tables["bounds"], self._unclear, tables["enough"], cfg.max_iterations, cfg.tolerance,
+                *self._scratch, self._q.device, iterations.device,
+            )  # fmt: skip
 
-    def _pull(self) -> None:
-        self._backend.pull_modules(
-            self._seen.device, self._q.device, self._damping.device, self._cfg.certainty, self._rhs,
-            self._unclear.device,
-        )  # fmt: skip
-
-    @property
-    def iterations(self) -> int:
-        """Conjugate gradients of the last pass."""
-        return int(self._iterations.read()[0])
-
-    @property
-    def unclear(self) -> int:
-        """Modules that the last pass left unclear."""
-        return sum(self._unclear.read()[0].tolist())
-
-    def read(self) -> NDArray[np.float32]:
-        """Wait for the device and give the modules (V, U)."""
-        return self._q.read()[0][self._inner] + np.float32(1.0)
+    def read(self, spaces: Sequence[CodeSpace]) -> list[CodeEstimate]:
+        """Wait for the device and give the modules of each code."""
+        q = self._q.read()[: len(spaces)] + np.float32(1.0)
+        iterations = functools.reduce(np.add, [mirror.read() for mirror in self._iterations]).tolist()
+        found = []
+        for k, space in enumerate(spaces):
+            quiet = quiet_modules(space)
+            inner = q[k, quiet : quiet + space.rows, quiet : quiet + space.columns]
+            found.append(CodeEstimate(inner, iterations[k]))
+        return found
 
 
-def solve_modules(equations: NormalEquations, cfg: ModulesConfig, *, workspace: Workspace) -> CodeEstimate:
-    """Solve for the unknown modules, with function patterns and quiet zone fixed.
+def solve_modules(
+    equations: Sequence[NormalEquations], cfg: ModulesConfig, *, workspace: Workspace
+) -> list[CodeEstimate]:
+    """Solve for the unknown modules of codes, with function patterns and quiet zone fixed.
 
     Parameters
     ----------
-    equations : NormalEquations
-        Weighted by one over the variance of the noise.
+    equations : sequence of NormalEquations
+        Weighted by one over the variance of the noise; of any codes.
     cfg : ModulesConfig
         Settings.
     workspace : Workspace
@@ -251,17 +255,18 @@ def solve_modules(equations: NormalEquations, cfg: ModulesConfig, *, workspace: 
 
     Returns
     -------
-    estimate : CodeEstimate
-        Of all modules.
+    estimates : list of CodeEstimate
+        Of all modules of each.  None depends on the others.
     """
-    space = equations.space
-    step = workspace.once(("code", space, cfg), lambda: Solution(space, cfg, workspace))
-    step.write(equations)
-    step.run_first()
-    iterations, most_unclear = step.iterations, cfg.unclear * space.known.size
-    for _ in range(cfg.passes - 1):
-        if step.unclear <= most_unclear:
-            break
-        step.run()
-        iterations += step.iterations
-    return CodeEstimate(step.read(), iterations)
+    if not equations:
+        return []
+    codes, spaces = Codes.of(workspace), [each.space for each in equations]
+    numbers = [codes.number(space) for space in spaces]
+    tables, room, count = codes.modules(cfg, numbers), room_for(spaces), count_for(len(spaces))
+    step = workspace.once(
+        ("solution", cfg, count, room, tables.version),
+        lambda: Solution(count, tables, room, cfg, workspace),
+    )
+    step.write(equations, numbers)
+    step.run()
+    return step.read(spaces)

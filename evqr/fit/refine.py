@@ -10,14 +10,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from evqr.clock import StageClock
-from evqr.config import ReadConfig
+from evqr.config import AlignConfig, ReadConfig
 from evqr.events.batch import EventBatch
-from evqr.events.window import Window
 from evqr.fit.align import escape_side_minimum
 from evqr.fit.detection import NO_LAG, Detection, Target
 from evqr.fit.image import depositing
-from evqr.fit.lag import estimate_lag
-from evqr.fit.measure import Measurement, measure, measuring
+from evqr.fit.lag import estimate_lags
+from evqr.fit.measure import in_px, measure, measuring
 from evqr.fit.region import Region, region_around
 from evqr.geometry import compose
 from evqr.motion import Motion
@@ -45,30 +44,24 @@ class Refinement:
         What was looked for: its pose is the candidate's.
     region : Region
         Around the candidate.
-    measurement : Measurement
-        What came out, in cells of the region.
+    detection : Detection
+        What came out, before lags are estimated.
     escaped : bool
-        Whether a pose one module away was better, so that the equations are not of the alignment's pose.
+        Whether a pose one module away was better, so that the equations are not of the detection's pose.
     iterations : int
         Gauss-Newton steps, of all candidates of the window.
     """
 
     target: Target
     region: Region
-    measurement: Measurement
+    detection: Detection
     escaped: bool
     iterations: int = 0
 
     @property
     def score(self) -> float:
         """Correlation with the known modules."""
-        return float(self.measurement.alignment.score[0])
-
-    @property
-    def refined(self) -> Target:
-        """What was found, in px of the sensor."""
-        pose = compose(self.region.to_px, self.measurement.alignment.pose[0])
-        return replace(self.target, pose=pose / pose[2, 2])
+        return self.detection.score
 
 
 def refine(
@@ -107,40 +100,58 @@ def refine(
         For each window the one with the highest score of those up to the first good one; `complete` makes
         detections of them.
     """
+    one, count = cfg.align, len(batch)
+    tried: list[list[Refinement]] = [[] for _ in range(count)]
+    pending = list(range(count))
+    while pending:
+        # on a CPU one candidate of each window at a time: those behind a good one are not looked at
+        together = 1 if workspace.shared else max(len(candidates[k]) - len(tried[k]) for k in pending)
+        rows = [
+            (k, candidate)
+            for k in pending
+            for candidate in candidates[k][len(tried[k]) : len(tried[k]) + together]
+        ]
+        targets = [
+            Target(candidate.space, candidate.pose, motions[k], tau_us[k] or NO_LAG) for k, candidate in rows
+        ]
+        refined = _refined(batch.pick([k for k, _ in rows]), targets, cfg, workspace=workspace)
+        for (k, _), each in zip(rows, refined, strict=True):
+            if not (tried[k] and _is_good(tried[k][-1], one)):
+                tried[k].append(each)
+        pending = [
+            k for k in pending if len(tried[k]) < len(candidates[k]) and not _is_good(tried[k][-1], one)
+        ]
     return [
-        _refine(window, motion, tried, tau, cfg, workspace=workspace)
-        for window, motion, tried, tau in zip(batch.windows, motions, candidates, tau_us, strict=True)
+        replace(
+            max(of_window, key=lambda refinement: refinement.score),
+            iterations=sum(refinement.detection.iterations for refinement in of_window),
+        )
+        for of_window in tried
     ]
 
 
-def _refine(
-    window: Window,
-    motion: Motion,
-    candidates: Sequence[Guess],
-    tau_us: tuple[float, float] | None,
-    cfg: ReadConfig,
-    *,
-    workspace: Workspace,
-) -> Refinement:
-    """Refine the candidates of one window."""
-    one = cfg.align
-    tried: list[Refinement] = []
-    for candidate in candidates:
-        target = Target(candidate.space, candidate.pose, motion, tau_us or NO_LAG)
-        region = region_around(target.pose, target.space, one, margin_px=cfg.finder.margin_px)
-        step = measuring(window, target, region, cfg, workspace=workspace)
-        step.run()
-        found = step.read()
-        better = escape_side_minimum(step.images, found.alignment, target.space, one, workspace=workspace)
-        if better is not None:
-            found = replace(found, alignment=better)
-        tried.append(Refinement(target, region, found, escaped=better is not None))
-        # with a single finder pattern another size may agree well before the right one has its turn
-        if tried[-1].score >= one.good_score and not target.space.single_pattern:
-            break
-    best = max(tried, key=lambda refinement: refinement.score)
-    iterations = sum(refinement.measurement.alignment.iterations for refinement in tried)
-    return replace(best, iterations=iterations)
+def _is_good(refinement: Refinement, cfg: AlignConfig) -> bool:
+    """Whether no other candidate of the window is looked at."""
+    # with a single finder pattern another size may agree well before the right one has its turn
+    return refinement.score >= cfg.good_score and not refinement.target.space.single_pattern
+
+
+def _refined(
+    batch: EventBatch, targets: Sequence[Target], cfg: ReadConfig, *, workspace: Workspace
+) -> list[Refinement]:
+    """Refine one candidate a window."""
+    one, margin_px = cfg.align, cfg.finder.margin_px
+    regions = [region_around(target.pose, target.space, one, margin_px=margin_px) for target in targets]
+    step = measuring(batch, targets, regions, cfg, workspace=workspace)
+    step.run()
+    found = step.read()
+    spaces = [target.space for target in targets]
+    alignment, escaped = escape_side_minimum(step.images, found.alignment, spaces, one, workspace=workspace)
+    found = replace(found, alignment=alignment)
+    return [
+        Refinement(target, region, found.detection(k, target, region), bool(escaped[k]))
+        for k, (target, region) in enumerate(zip(targets, regions, strict=True))
+    ]
 
 
 def complete(
@@ -174,45 +185,47 @@ def complete(
     detections : list of Detection
         One a window, without timings.
     """
-    return [
-        _complete(window, found, tau, cfg, workspace=workspace, clock=clock)
-        for window, found, tau in zip(batch.windows, refinements, tau_us, strict=True)
-    ]
-
-
-def _complete(
-    window: Window,
-    found: Refinement,
-    tau_us: tuple[float, float] | None,
-    cfg: ReadConfig,
-    *,
-    workspace: Workspace,
-    clock: StageClock,
-) -> Detection:
-    """Complete one window."""
-    if tau_us is None and found.score >= cfg.align.sharp_score:
-        tau_us = NO_LAG
-    if tau_us is not None and not found.escaped:
-        return found.measurement.detection(found.target, found.region, found.iterations)
-    target = found.refined
-    if tau_us is None:
+    detections: list[Detection] = []
+    lagging: list[int] = []
+    unsure: list[int] = []
+    for k, (found, tau) in enumerate(zip(refinements, tau_us, strict=True)):
+        detections.append(replace(found.detection, iterations=found.iterations))
+        if tau is None and found.score < cfg.align.sharp_score:
+            lagging.append(k)
+        elif found.escaped:
+            unsure.append(k)
+    groups = [(unsure, [detections[k].target for k in unsure])]
+    if lagging:
         with clock("lag"):
-            target = _with_lags(window, found, cfg, workspace=workspace)
-    with clock("stage_one"):
-        measured = measure(window, target, found.region, cfg, workspace=workspace)
-    return measured.detection(target, found.region, found.iterations + measured.alignment.iterations)
+            found = [refinements[k] for k in lagging]
+            # measured at once and by themselves: their deposits are still there
+            groups.insert(0, (lagging, _with_lags(batch.pick(lagging), found, cfg, workspace=workspace)))
+    for rows, targets in groups:
+        if not rows:
+            continue
+        regions = [refinements[k].region for k in rows]
+        with clock("stage_one"):
+            measured = measure(batch.pick(rows), targets, regions, cfg, workspace=workspace)
+        for row, k in enumerate(rows):
+            detections[k] = measured.detection(row, targets[row], regions[row], refinements[k].iterations)
+    return detections
 
 
-def _with_lags(window: Window, found: Refinement, cfg: ReadConfig, *, workspace: Workspace) -> Target:
-    """Estimate the time constants of the pixels for a candidate, and its pose with their lags undone."""
-    target, region = found.target, found.region
-    alone = EventBatch.of([window])
-    deposit, fresh = depositing(alone, [target.motion], [region], workspace=workspace)
+def _with_lags(
+    batch: EventBatch, found: Sequence[Refinement], cfg: ReadConfig, *, workspace: Workspace
+) -> list[Target]:
+    """Estimate the time constants of the pixels for candidates, and their poses with the lags undone."""
+    targets, regions = [each.target for each in found], [each.region for each in found]
+    deposit, fresh = depositing(batch, [target.motion for target in targets], regions, workspace=workspace)
     if fresh:
         deposit.run()
-    lag_px, aligned = estimate_lag(
-        deposit, target.motion, region, found.measurement.alignment.pose[0], target.space, cfg,
-        workspace=workspace,
-    )  # fmt: skip
-    pose = compose(region.to_px, aligned.pose[0])
-    return replace(target, pose=pose / pose[2, 2], tau_us=target.motion.tau_us(lag_px))
+    pose = np.array([compose(each.region.from_px, each.detection.pose) for each in found])
+    lags_px, aligned = estimate_lags(deposit, targets, regions, pose, cfg, workspace=workspace)
+    return [
+        replace(
+            each.target,
+            pose=in_px(aligned.pose[k], each.region),
+            tau_us=each.target.motion.tau_us((on, off)),
+        )
+        for k, (each, (on, off)) in enumerate(zip(found, lags_px.tolist(), strict=True))
+    ]

@@ -141,7 +141,7 @@ class _Search:
         cell, (rows, columns) = self.pyramid[0].cell, shapes[0]
         self._region = Region(-0.5, -0.5, cell, rows, columns)
         self._deposit = Deposit(events, 1, rows, columns, workspace)
-        self._sharpen = Sharpen(self._deposit.cells, 1, BLUR_CELLS, workspace)
+        self._sharpen = Sharpen(self._deposit, BLUR_CELLS, workspace)
         slots = sum(rows for rows, _ in shapes)
         a_row = cfg.peaks_a_row
         maxima = workspace.empty(1, slots, a_row, 5)
@@ -201,7 +201,7 @@ class _Search:
             on, off = self._cfg.lag_cells
             lag_px = on * self._region.cell, off * self._region.cell
         self._deposit.write(EventBatch.of([window]), [motion], [self._region])
-        self._sharpen.write(motion, self._region, [lag_px])
+        self._sharpen.write([motion], [self._region], [[lag_px]])
         self._run()
         peaks = self._peaks.read()[0]
         return Found(self._matchers, Peaks(peaks[: np.count_nonzero(peaks[:, 0])].copy()), self.pyramid)

@@ -91,7 +91,7 @@ def screen(
             entry = pyramid[level]
             start = compose(entry.from_px, np.array([hypotheses[k].pose for k in members]))
             found = align(entry.image, start, space, coarse_levels(cfg), cfg, workspace=workspace)
-            iterations += found.iterations
+            iterations += int(found.iterations.max())
             refined = compose(entry.to_px, found.pose)
             refined /= refined[:, 2:, 2:]
             candidates += [

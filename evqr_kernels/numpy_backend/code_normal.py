@@ -10,8 +10,8 @@ from evqr_kernels.numpy_backend.solve import apply_stencil
 
 
 def code_normal_equations(
-    image, pose, lattice_u, lattice_v, profile, slope, gain, samples_a_module, samples_out, rows_out,
-    stencil_out, rhs_out,
+    image, pose, space_idx, lattice_u, lattice_v, sides, profile, slope, gain, samples_a_module, samples_out,
+    rows_out, stencil_out, rhs_out,
 ) -> None:  # fmt: skip
     """Stencil of A^T A, and A^T E; overwrites."""
     reach = stencil_out.shape[1] // 2
@@ -24,8 +24,8 @@ def code_normal_equations(
         stencil_out[b] = a_u * a_u * np.outer(bb, ss) + a_v * a_v * np.outer(ss, bb)
         stencil_out[b] += a_u * a_v * (np.outer(bs, sb) + np.outer(sb, bs))
     code_rhs(
-        image, pose, lattice_u, lattice_v, profile, slope, gain, samples_a_module, samples_out, rows_out,
-        rhs_out,
+        image, pose, space_idx, lattice_u, lattice_v, sides, profile, slope, gain, samples_a_module,
+        samples_out, rows_out, rhs_out,
     )  # fmt: skip
 
 

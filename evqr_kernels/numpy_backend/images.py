@@ -23,9 +23,10 @@ def reduce_image(image, ratio, rows_out, image_out) -> None:
     image_out[:] = rows @ image @ columns.T
 
 
-def mix_images(images, weight, images_out) -> None:
+def mix_images(images, image_idx, weight, images_out) -> None:
     """Mix images; overwrites."""
-    images_out[:] = np.tensordot(weight, images, axes=1)
+    for n, m in enumerate(image_idx):
+        images_out[n] = np.tensordot(weight[n], images[m], axes=1)
 
 
 def _coverage(coarse: int, fine: int, ratio: float) -> NDArray[np.float64]:

@@ -7,13 +7,22 @@ from numpy.typing import NDArray
 
 
 def solve_code(
-    rhs, stencil, damping, free, max_iterations, tolerance, residual_out, direction_out, next_direction_out,
-    product_out, sums_out, next_sums_out, q_inout, iterations_out,
+    rhs, stencil, damping, space_idx, free, bounds, unclear, enough, max_iterations, tolerance, fields_out,
+    sums_out, next_sums_out, q_inout, iterations_out,
 ) -> None:  # fmt: skip
     """Conjugate gradients over the free modules; q is updated in place, the scratch is not used."""
-    for b in range(len(rhs)):
+    iterations_out[:] = 0
+    reach = stencil.shape[1] // 2
+    for b, m in enumerate(space_idx):
+        if unclear[b].sum() <= enough[m]:
+            continue
+        top, bottom, left, right = bounds[m]
+        # with the neighbours of the free modules
+        part = np.s_[max(top - reach, 0) : bottom + reach, max(left - reach, 0) : right + reach]
+        is_free = np.zeros(free.shape[1:], bool)
+        is_free[top:bottom, left:right] = free[m, top:bottom, left:right] != 0
         iterations_out[b] = _solve_window(
-            rhs[b], stencil[b], damping[b], free != 0, q_inout[b], max_iterations, tolerance
+            rhs[b][part], stencil[b], damping[b], is_free[part], q_inout[b][part], max_iterations, tolerance
         )
 
 

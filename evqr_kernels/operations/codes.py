@@ -31,19 +31,29 @@ SAMPLED = (
     floats("table", "S", "C"),
 )
 TERMS = (ints("terms", "P + 2", 4, index="C"), ints("factors", "P + 2", 4))
+ROWS, COLUMNS = "T // samples_a_module", "S // samples_a_module"
+"""Modules of the largest code along each axis of its lattice."""
+REACH = "ceil(max(0, P - samples_a_module) / (2 * samples_a_module))"
+"""Modules beside a module that its profile covers."""
+PHASES = f"samples_a_module * up({COLUMNS} + 2 * {REACH}, 8)"
+"""A row of samples: the first of each module, then the second of each, ...; zeros on either side."""
+
+
 LATTICE = (
     floats("image", "B", "Y", "X"),
     floats("pose", "B", 9),
-    floats("lattice_u", "S"),
-    floats("lattice_v", "T"),
+    ints("space_idx", "B", index="M", default=0),
+    floats("lattice_u", "M", "S", single=True),
+    floats("lattice_v", "M", "T", single=True),
+    ints("sides", "M", 2, default=(ROWS, COLUMNS), most=(ROWS, COLUMNS)),
     floats("profile", "P"),
     floats("slope", "P"),
     floats("gain", "B", 2),
     setting("samples_a_module", 1),
-    scratch("samples_out", "B", "T", "S"),
-    scratch("rows_out", "B", 2, "T", "S // samples_a_module"),
+    scratch("samples_out", "B", "T", PHASES),
+    scratch("rows_out", "B", 2, ROWS, PHASES),
 )
-RHS = overwritten("rhs_out", "B", "T // samples_a_module", "S // samples_a_module")
+RHS = overwritten("rhs_out", "B", ROWS, COLUMNS)
 SYSTEM = (floats("stencil", "B", "K", "K"), floats("damping", "B"), ints("free", "V", "U"))
 SOLUTION = in_place("q_inout", "B", "V", "U", start="start")
 
@@ -66,8 +76,8 @@ def _parameters(arrays: Arrays, sizes: Sizes) -> None:
 
 def _alignable(arrays: Arrays, sizes: Sizes) -> None:
     for name in ("centre", "scale"):
-        if np.shape(sizes[name]) != (2,):
-            raise ValueError(f"{name} must be two numbers, along u and v, got {sizes[name]}")
+        if np.shape(sizes[name]) not in ((2,), (sizes["M"], 2)):
+            raise ValueError(f"{name} must be two numbers, along u and v, a table, got {sizes[name]}")
     _parameters(arrays, sizes)
 
 
@@ -81,15 +91,20 @@ def _finite(arrays: Arrays, sizes: Sizes) -> None:
         raise ValueError("certainty must be finite, got inf")
 
 
-def _gram(given: Sizes, dtype: np.dtype[Any]) -> Any:
-    return given["table"].T @ given["table"]
+def _grams(given: Sizes, dtype: np.dtype[Any]) -> Any:
+    table, table_ptr = given["table"], given.get("table_ptr")
+    parts = [table] if table_ptr is None else [table[first:end] for first, end in table_ptr]
+    return np.stack([part.T @ part for part in parts])
 
 
 def _packed(given: Sizes, dtype: np.dtype[Any]) -> Any:
-    return np.array(
-        [*given["centre"], *given["scale"], *(given[name] for name in ("ridge", "damping", "tolerance"))],
-        dtype,
-    )
+    """Centre and scale along u and v, ridge, damping and tolerance of each table."""
+    table_ptr = given.get("table_ptr")
+    settings = np.empty((1 if table_ptr is None else len(table_ptr), 7), dtype)
+    for columns, name in ((slice(0, 2), "centre"), (slice(2, 4), "scale"), (4, "ridge"), (5, "damping")):
+        settings[:, columns] = given[name]
+    settings[:, 6] = given["tolerance"]
+    return settings
 
 
 OPERATIONS = (
@@ -123,11 +138,14 @@ OPERATIONS = (
         arguments=(
             floats("image", "B", "Y", "X"),
             ints("image_idx", "N", index="B"),
+            ints("table_idx", "N", index="M", default=0),
             floats("points", "S", 2),
             floats("table", "S", "C"),
-            floats("gram", "C", "C", made=_gram),
+            ints("table_ptr", "M", 2, ranges="S", default=(0, "S")),
+            floats("gram", "M", "C", "C", made=_grams),
             *TERMS,
-            floats("settings", 7, made=_packed),
+            ints("parameters", "M", default=8),
+            floats("settings", "M", 7, made=_packed),
             setting("max_iterations", 0),
             in_place("pose_inout", "N", 9, start="pose"),
             overwritten("result_out", "N", 5),
@@ -180,13 +198,15 @@ OPERATIONS = (
         file="solve",
         arguments=(
             floats("rhs", "B", "V", "U"),
-            *SYSTEM,
+            *SYSTEM[:2],
+            ints("space_idx", "B", index="M", default=0),
+            ints("free", "M", "V", "U", single=True),
+            ints("bounds", "M", 4, default=(0, "V", 0, "U"), most=("V", "V", "U", "U")),
+            ints("unclear", "B", "V", default=1),
+            ints("enough", "M", default=0),
             setting("max_iterations", 0),
             setting("tolerance"),
-            scratch("residual_out", "B", "V", "U"),
-            scratch("direction_out", "B", "V", "U"),
-            scratch("next_direction_out", "B", "V", "U"),
-            scratch("product_out", "B", "V", "U"),
+            scratch("fields_out", "B", 5, "V", "U"),
             scratch("sums_out", "B", 4, "V"),
             scratch("next_sums_out", "B", 4, "V"),
             SOLUTION,

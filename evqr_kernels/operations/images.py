@@ -110,7 +110,8 @@ OPERATIONS = (
         name="mix_images",
         file="images",
         arguments=(
-            floats("images", "K", "Y", "X"),
+            floats("images", "M", "K", "Y", "X", single=True),
+            ints("image_idx", "N", index="M", default=0),
             floats("weight", "N", "K"),
             overwritten("images_out", "N", "Y", "X"),
         ),

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from numpy.typing import ArrayLike
+
 from evqr_kernels.call import checked
 from evqr_kernels.checks import Floats, Ints
 
@@ -105,8 +107,9 @@ def sample_moments_adjoint(
 @checked
 def align_poses(
     image: Floats, image_idx: Ints, pose: Floats, points: Floats, table: Floats, terms: Ints,
-    factors: Ints, *, centre: tuple[float, float], scale: tuple[float, float], ridge: float = 1e-3,
-    damping: float = 1e-3, tolerance: float = 1e-2, max_iterations: int = 10, backend: str = "auto",
+    factors: Ints, *, centre: ArrayLike, scale: ArrayLike, ridge: float = 1e-3, damping: float = 1e-3,
+    tolerance: float = 1e-2, max_iterations: int = 10, table_idx: Ints | None = None,
+    table_ptr: Ints | None = None, parameters: Ints | None = None, backend: str = "auto",
     device: str | None = None,
 ) -> tuple[Floats, Floats]:  # fmt: skip
     """Refine poses by inverse-compositional Gauss-Newton.
@@ -118,12 +121,13 @@ def align_poses(
     pose : (N, 9) float [modules to image px]
         Homographies, row-major, where to begin; left as they are.
     table : (S, C) float [any]
-        Model functions at the points, the last two its slopes along u and v.
+        Model functions at the points, the last two its slopes along u and v; of several codes one behind the
+        other.
     terms, factors : (P + 2, 4) int32
         Columns of the table that make up each parameter's derivative, and what each is multiplied with: 0
         nothing, 1 and 2 the gain along u and v, 3 one.  P is 6 for an affine map, 8 for a homography; the
         last two rows are those of the gain.
-    centre, scale : (float, float) [modules]
+    centre, scale : (2,) or (M, 2) array-like [modules]
         Of the coordinates in the table, along u and v: ``u' = (u - centre[0]) / scale[0]``,
         ``v' = (v - centre[1]) / scale[1]``; half the size of the code, as a rule.
     ridge : float [1]
@@ -134,6 +138,12 @@ def align_poses(
         Stop when the components of a step, of coordinates in the table, add up to less.
     max_iterations : int
         At most so many; 0 scores the poses as they are.
+    table_idx : (N,) int32
+        Which of M tables each pose is of; by default the first.
+    table_ptr : (M, 2) int32
+        First point of each table, and the one behind its last; by default one table of all points.
+    parameters : (M,) int32
+        How many of a table's parameters are free, 6 or 8: with 6 perspective stays; by default P.
     backend, device : str
         See `evqr_kernels.ops`.
 
@@ -149,8 +159,9 @@ def align_poses(
     ------
     ValueError
         If an entry of ``image_idx`` is not 0 to B - 1, ``terms`` and ``factors`` do not have 8 or 10 rows, an
-        entry of ``terms`` is not 0 to C - 1, ``max_iterations`` is less than 0, or ``centre`` or ``scale`` is
-        not a pair.
+        entry of ``terms`` is not 0 to C - 1, one of ``table_idx`` not 0 to M - 1, one of ``table_ptr`` not 0
+        to S, ``max_iterations`` is less than 0, or ``centre`` or ``scale`` is neither a pair nor a pair a
+        table.
 
     See Also
     --------
@@ -179,7 +190,8 @@ def align_poses(
 @checked
 def code_rhs(
     image: Floats, pose: Floats, lattice_u: Floats, lattice_v: Floats, profile: Floats, slope: Floats,
-    gain: Floats, *, samples_a_module: int, backend: str = "auto", device: str | None = None,
+    gain: Floats, *, samples_a_module: int, space_idx: Ints | None = None, sides: Ints | None = None,
+    backend: str = "auto", device: str | None = None,
 ) -> Floats:  # fmt: skip
     """Right-hand side of the least-squares problem for the modules, ``A^T E``.
 
@@ -189,28 +201,35 @@ def code_rhs(
         Images of events, one a pose.
     pose : (B, 9) float [modules to image px]
         Homographies, row-major: code coordinates to image pixels.
-    lattice_u : (S,) float [modules]
-        Sample positions along u, U modules times ``samples_a_module``.
-    lattice_v : (T,) float [modules]
+    lattice_u : (M, S) or (S,) float [modules]
+        Sample positions along u of M codes, or of one: U modules times ``samples_a_module``.
+    lattice_v : (M, T) or (T,) float [modules]
         Sample positions along v, V modules times ``samples_a_module``; of a square code the same array.
     profile, slope : (P,) float [1, 1 / modules]
         A module's profile and its derivative, sampled, centred on the module.
     gain : (B, 2) float [weight modules]
         Motion in modules times contrast, along u and v.
     samples_a_module : int
-        Samples of both lattices, and of the profile, in a module.
+        Samples of all lattices, and of the profile, in a module.
+    space_idx : (B,) int32
+        Which of the codes each window shows; by default the first.
+    sides : (M, 2) int32
+        Rows and columns of modules of each code, by default V and U; what lies behind them on its lattices is
+        not used.
     backend, device : str
         See `evqr_kernels.ops`.
 
     Returns
     -------
     rhs : (B, V, U) float [weight^2]
-        Right-hand side; U and V are S and T over ``samples_a_module``, rounded down.
+        Right-hand side, 0 beyond a window's code; U and V are S and T over ``samples_a_module``, rounded
+        down.
 
     Raises
     ------
     ValueError
-        If ``samples_a_module`` is less than 1.
+        If ``samples_a_module`` is less than 1, an entry of ``space_idx`` is not 0 to M - 1, or a code has
+        more rows or columns than V or U.
 
     See Also
     --------
@@ -218,8 +237,8 @@ def code_rhs(
 
     Notes
     -----
-    Cost: T S projections and looks at four pixels, and 2 U P (T + V) multiply-adds a window, in two passes;
-    scratch of (B, T, S) and (B, 2, T, U).
+    Cost: T S projections and looks at four pixels, and 2 V P (S + U) multiply-adds a window, in two passes;
+    scratch of (B, T, S) and (B, 2, V, S), a few modules wider.
 
     Determinism: bit for bit.
     """
@@ -274,7 +293,9 @@ def pull_modules(
 @checked
 def solve_code(
     rhs: Floats, stencil: Floats, damping: Floats, free: Ints, start: Floats, *, max_iterations: int = 60,
-    tolerance: float = 1e-3, backend: str = "auto", device: str | None = None,
+    tolerance: float = 1e-3, space_idx: Ints | None = None, bounds: Ints | None = None,
+    unclear: Ints | None = None, enough: Ints | None = None, backend: str = "auto",
+    device: str | None = None,
 ) -> tuple[Floats, Ints]:  # fmt: skip
     """Solve ``(stencil + damping I) q = -rhs`` over the free modules by conjugate gradients.
 
@@ -286,14 +307,23 @@ def solve_code(
         K odd; positive definite together with the damping.
     damping : (B,) float [weight^2]
         Added to the diagonal.
-    free : (V, U) int32
-        Modules that are solved for; those with 0 keep their start.
+    free : (M, V, U) or (V, U) int32
+        Modules of M codes, or of one, that are solved for; those with 0 keep their start.
     start : (B, V, U) float [1]
         q to begin with; left as it is.
     max_iterations : int
         At most so many.
     tolerance : float [1]
         Stop when the residual is this share of what it was.
+    space_idx : (B,) int32
+        Which of the codes each window shows; by default the first.
+    bounds : (M, 4) int32
+        First row and the one behind the last, first column and the one behind the last, between which each
+        code has free modules: others are not looked at; by default all.
+    unclear : (B, V) int32
+        Modules of each row that are unclear yet: see `pull_modules`; by default some.
+    enough : (M,) int32
+        A window with no more unclear modules than this is left as it is, with no iterations; by default 0.
     backend, device : str
         See `evqr_kernels.ops`.
 
@@ -307,7 +337,8 @@ def solve_code(
     Raises
     ------
     ValueError
-        If K is even, or ``max_iterations`` is less than 0.
+        If K is even, ``max_iterations`` is less than 0, an entry of ``space_idx`` is not 0 to M - 1, or
+        ``bounds`` are not 0 to V and 0 to U.
 
     See Also
     --------
@@ -317,8 +348,8 @@ def solve_code(
     -----
     Cost: K^2 + 6 multiply-adds a module and iteration.  On a CPU one thread a window, which stops when it has
     converged; on a GPU one thread a row of modules, 2 K^2, and two launches an iteration up to
-    ``max_iterations``, in which windows that have converged do nothing.  Scratch of four times (B, V, U) and
-    twice (B, 4, V).
+    ``max_iterations``, in which windows that have converged do nothing.  Scratch of
+    (B, 5, V, U) and twice (B, 4, V).
 
     Determinism: bit for bit.
     """

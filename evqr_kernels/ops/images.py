@@ -179,29 +179,34 @@ def reduce_image(image: Floats, *, ratio: float, backend: str = "auto", device: 
 
 
 @checked
-def mix_images(images: Floats, weight: Floats, *, backend: str = "auto", device: str | None = None) -> Floats:
+def mix_images(
+    images: Floats, weight: Floats, *, image_idx: Ints | None = None, backend: str = "auto",
+    device: str | None = None,
+) -> Floats:  # fmt: skip
     """Make weighted sums of images.
 
     The adjoint in the images is the operation itself, with the weights transposed.
 
     Parameters
     ----------
-    images : (K, Y, X) float [any]
-        What is mixed.
+    images : (M, K, Y, X) or (K, Y, X) float [any]
+        What is mixed: K images of each of M things, or of one.
     weight : (N, K) float [1]
         How much of each image is in each sum.
+    image_idx : (N,) int32
+        Whose images each sum is of; by default the first's.
     backend, device : str
         See `evqr_kernels.ops`.
 
     Returns
     -------
     mixed : (N, Y, X) float [of images]
-        Image n is the sum of weight(n, k) times image k.
+        Image n is the sum of weight(n, k) times image k of its thing.
 
     Raises
     ------
-    TypeError, ValueError
-        As every operation, and for nothing else.
+    ValueError
+        If an entry of ``image_idx`` is not 0 to M - 1.
 
     Notes
     -----

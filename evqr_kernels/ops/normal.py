@@ -65,13 +65,14 @@ def pose_normal_equations(
 @checked
 def code_normal_equations(
     image: Floats, pose: Floats, lattice_u: Floats, lattice_v: Floats, profile: Floats, slope: Floats,
-    gain: Floats, *, samples_a_module: int, reach: int = 2, backend: str = "auto", device: str | None = None,
+    gain: Floats, *, samples_a_module: int, reach: int = 2, space_idx: Ints | None = None,
+    sides: Ints | None = None, backend: str = "auto", device: str | None = None,
 ) -> tuple[Floats, Floats]:  # fmt: skip
     """Make the normal equations of the modules' least-squares problem: A^T A as a stencil, and A^T E.
 
     Parameters
     ----------
-    image, pose, lattice_u, lattice_v, profile, slope, gain, samples_a_module
+    image, pose, lattice_u, lattice_v, profile, slope, gain, samples_a_module, space_idx, sides
         As in `code_rhs`.
     reach : int [modules]
         On either side that the stencil covers; exact from (P - 1) // ``samples_a_module`` on.
@@ -88,7 +89,8 @@ def code_normal_equations(
     Raises
     ------
     ValueError
-        If ``samples_a_module`` is less than 1, or ``reach`` is less than 0.
+        If ``samples_a_module`` is less than 1, ``reach`` is less than 0, or an entry of ``space_idx`` is not
+        0 to M - 1.
 
     See Also
     --------

@@ -57,12 +57,15 @@ def make_align_poses(dtype, columns: int, alone: bool):
     def align_poses(
         image: array(dtype, 3),
         image_idx: array(ti.i32, 1),
+        table_idx: array(ti.i32, 1),
         points: array(dtype, 2),
         table: array(dtype, 2),
-        gram: array(dtype, 2),
+        table_ptr: array(ti.i32, 2),
+        gram: array(dtype, 3),
         terms: array(ti.i32, 2),
         factors: array(ti.i32, 2),
-        settings: array(dtype, 1),
+        free: array(ti.i32, 1),
+        settings: array(dtype, 2),
         max_iterations: ti.i32,
         pose_inout: array(dtype, 2),
         result_out: array(dtype, 2),
@@ -72,23 +75,27 @@ def make_align_poses(dtype, columns: int, alone: bool):
             if idle > 0:
                 continue
             b = image_idx[h]
-            centre_u = settings[0]
-            centre_v = settings[1]
-            scale_u = settings[2]
-            scale_v = settings[3]
+            which = table_idx[h]
+            centre_u = settings[which, 0]
+            centre_v = settings[which, 1]
+            scale_u = settings[which, 2]
+            scale_v = settings[which, 3]
             longer = ti.max(scale_u, scale_v)
-            ridge = settings[4]
-            damping = settings[5]
-            tolerance = settings[6]
-            count = points.shape[0]
-            n = terms.shape[0]
-            parameters = n - 2
+            ridge = settings[which, 4]
+            damping = settings[which, 5]
+            tolerance = settings[which, 6]
+            begin = table_ptr[which, 0]
+            end = table_ptr[which, 1]
+            parameters = ti.min(free[which], terms.shape[0] - 2)
+            # rows of the terms: those of the free parameters, and behind all of them those of the gain
+            n = parameters + 2
+            skipped = terms.shape[0] - n
             iterations = 0
             moving = 1
             while moving > 0:
                 moments = ti.Vector.zero(dtype, columns)
                 energy = dtype(0.0)
-                for s in range(count):
+                for s in range(begin, end):
                     x, y = project(pose_inout, h, points[s, 0], points[s, 1])
                     e = bilinear(image, b, x, y)
                     if e != dtype(0.0):
@@ -96,9 +103,9 @@ def make_align_poses(dtype, columns: int, alone: bool):
                         for c in ti.static(range(columns)):
                             moments[c] += e * table[0, at + c]
                         energy += e * e
-                guu = gram[first, first]
-                guv = gram[first, second]
-                gvv = gram[second, second]
+                guu = gram[which, first, first]
+                guv = gram[which, first, second]
+                gvv = gram[which, second, second]
                 extra = ridge * (guu + gvv)
                 determinant = (guu + extra) * (gvv + extra) - guv * guv
                 gain_u = -((gvv + extra) * moments[first] - guv * moments[second]) / determinant
@@ -108,7 +115,9 @@ def make_align_poses(dtype, columns: int, alone: bool):
                 result_out[h, 0] = gain_u
                 result_out[h, 1] = gain_v
                 result_out[h, 2] = cross / ti.sqrt(ti.max(model * energy, dtype(1.0e-20)))
-                result_out[h, 3] = ti.max(energy - dtype(2.0) * cross + model, dtype(0.0)) / dtype(count)
+                result_out[h, 3] = ti.max(energy - dtype(2.0) * cross + model, dtype(0.0)) / dtype(
+                    end - begin
+                )
                 result_out[h, 4] = dtype(iterations)
                 if iterations >= max_iterations or moving == 2:
                     moving = 0
@@ -117,20 +126,26 @@ def make_align_poses(dtype, columns: int, alone: bool):
                     system = ti.Matrix.zero(dtype, MOST, MOST)
                     right = ti.Vector.zero(dtype, MOST)
                     for p in range(n):
+                        r = ti.select(p < parameters, p, p + skipped)
                         for k in range(4):
-                            if factors[p, k] != 0:
-                                c = terms[p, k]
-                                residual = moments[c] + gram[c, first] * gain_u + gram[c, second] * gain_v
-                                right[p] -= gain_factor(factors[p, k], gain_u, gain_v) * residual
+                            if factors[r, k] != 0:
+                                c = terms[r, k]
+                                residual = (
+                                    moments[c]
+                                    + gram[which, c, first] * gain_u
+                                    + gram[which, c, second] * gain_v
+                                )
+                                right[p] -= gain_factor(factors[r, k], gain_u, gain_v) * residual
                         for q in range(p + 1):
+                            o = ti.select(q < parameters, q, q + skipped)
                             total = dtype(0.0)
                             for k in range(4):
-                                if factors[p, k] != 0:
-                                    weight = gain_factor(factors[p, k], gain_u, gain_v)
+                                if factors[r, k] != 0:
+                                    weight = gain_factor(factors[r, k], gain_u, gain_v)
                                     for m in range(4):
-                                        if factors[q, m] != 0:
-                                            product = weight * gain_factor(factors[q, m], gain_u, gain_v)
-                                            total += product * gram[terms[p, k], terms[q, m]]
+                                        if factors[o, m] != 0:
+                                            product = weight * gain_factor(factors[o, m], gain_u, gain_v)
+                                            total += product * gram[which, terms[r, k], terms[o, m]]
                             system[p, q] = total
                             system[q, p] = total
                     trace = dtype(0.0)
@@ -172,11 +187,12 @@ def make_align_poses(dtype, columns: int, alone: bool):
 
 
 def align_poses(
-    image, image_idx, points, table, gram, terms, factors, settings, max_iterations, pose_inout, result_out
-) -> None:
+    image, image_idx, table_idx, points, table, table_ptr, gram, terms, factors, parameters, settings,
+    max_iterations, pose_inout, result_out,
+) -> None:  # fmt: skip
     """Launch; overwrites the results."""
     launch(
         make_align_poses(float_of(image), table.shape[1], is_alone(pose_inout)),
-        *(image, image_idx, points, table, gram, terms, factors, settings, max_iterations),
-        *(pose_inout, result_out),
+        *(image, image_idx, table_idx, points, table, table_ptr, gram, terms, factors, parameters, settings),
+        *(max_iterations, pose_inout, result_out),
     )

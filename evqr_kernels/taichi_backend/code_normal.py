@@ -51,14 +51,14 @@ def make_code_stencil(dtype):
 
 
 def code_normal_equations(
-    image, pose, lattice_u, lattice_v, profile, slope, gain, samples_a_module: int, samples_out, rows_out,
-    stencil_out, rhs_out,
+    image, pose, space_idx, lattice_u, lattice_v, sides, profile, slope, gain, samples_a_module: int,
+    samples_out, rows_out, stencil_out, rhs_out,
 ) -> None:  # fmt: skip
     """Launch; overwrites."""
     launch(make_code_stencil(float_of(image)), profile, slope, gain, samples_a_module, stencil_out)
     code_rhs(
-        image, pose, lattice_u, lattice_v, profile, slope, gain, samples_a_module, samples_out, rows_out,
-        rhs_out,
+        image, pose, space_idx, lattice_u, lattice_v, sides, profile, slope, gain, samples_a_module,
+        samples_out, rows_out, rhs_out,
     )  # fmt: skip
 
 

@@ -8,6 +8,7 @@ from evqr_kernels.taichi_backend.language import (
     is_alone,
     is_on_cpu,
     row_of,
+    row_of_plane,
     run_at,
     ti,
     variant,
@@ -121,7 +122,12 @@ def make_mix_images(dtype, block: int):
     """Build the mixing; one thread per (result, row)."""
 
     @ti.kernel
-    def mix_images(images: array(dtype, 3), weight: array(dtype, 2), images_out: array(dtype, 3)):
+    def mix_images(
+        images: array(dtype, 4),
+        image_idx: array(ti.i32, 1),
+        weight: array(dtype, 2),
+        images_out: array(dtype, 3),
+    ):
         for n, y in ti.ndrange(images_out.shape[0], images_out.shape[1]):
             width = images_out.shape[2]
             for k in range((width + block - 1) // block):
@@ -130,9 +136,9 @@ def make_mix_images(dtype, block: int):
                 total = ti.Vector.zero(dtype, block)
                 for m in range(weight.shape[1]):
                     share = weight[n, m]
-                    at = run_at(row_of(images, m, y) + x)
+                    at = run_at(row_of_plane(images, image_idx[n], m, y) + x)
                     for p in ti.static(range(block)):
-                        total[p] += share * images[0, 0, at + p]
+                        total[p] += share * images[0, 0, 0, at + p]
                 to = run_at(row_of(images_out, n, y) + x)
                 for p in ti.static(range(block)):
                     images_out[0, 0, to + p] = total[p]
@@ -140,7 +146,7 @@ def make_mix_images(dtype, block: int):
     return mix_images
 
 
-def mix_images(images, weight, images_out) -> None:
+def mix_images(images, image_idx, weight, images_out) -> None:
     """Launch; overwrites."""
     block = variant("mix_images", is_on_cpu(images), images_out.shape[2]).tile
-    launch(make_mix_images(float_of(images), block), images, weight, images_out)
+    launch(make_mix_images(float_of(images), block), images, image_idx, weight, images_out)

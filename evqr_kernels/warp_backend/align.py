@@ -14,6 +14,9 @@ parameters are the affine ones (u: 1, u, v; v: 1, u, v), two more are perspectiv
 ``centre`` and divided by ``scale``, both an axis.  Perspective moves a point by u, or v, times its distance
 from the centre over the longer scale.
 
+Poses are of several codes: the tables of all lie one behind the other, ``table_ptr`` says which rows are
+whose.  Of each only the first ``parameters`` are free.
+
 Results: gain, score (the normalised correlation of model and image), noise (the variance of what is left) and
 iterations, all at the pose that is returned.
 
@@ -72,20 +75,21 @@ def make_entry(dtype: type, columns: int, unrolled: bool) -> wp.Function:
     gain_factor = make_gain_factor(dtype)
 
     @wp.func
-    def projected(gram: wp.array(dtype=dtype), projection: vec3, c: int, d: int) -> dtype:
-        c_u = gram[columns * c + along_u]
-        c_v = gram[columns * c + along_v]
+    def projected(gram: wp.array2d(dtype=dtype), which: int, projection: vec3, c: int, d: int) -> dtype:
+        c_u = gram[which, columns * c + along_u]
+        c_v = gram[which, columns * c + along_v]
         with_u = projection[0] * c_u + projection[1] * c_v
         with_v = projection[1] * c_u + projection[2] * c_v
         return (
-            gram[columns * c + d]
-            - with_u * gram[columns * d + along_u]
-            - with_v * gram[columns * d + along_v]
+            gram[which, columns * c + d]
+            - with_u * gram[which, columns * d + along_u]
+            - with_v * gram[which, columns * d + along_v]
         )
 
     @wp.func
     def unrolled_entry(
-        gram: wp.array(dtype=dtype),
+        gram: wp.array2d(dtype=dtype),
+        which: int,
         terms: wp.array(dtype=wp.int32),
         factors: wp.array(dtype=wp.int32),
         gain_u: dtype,
@@ -103,14 +107,15 @@ def make_entry(dtype: type, columns: int, unrolled: bool) -> wp.Function:
                     m = TERMS * q + j
                     if factors[m] != 0:
                         part += gain_factor(factors[m], gain_u, gain_v) * projected(
-                            gram, projection, terms[n], terms[m]
+                            gram, which, projection, terms[n], terms[m]
                         )
                 total += gain_factor(factors[n], gain_u, gain_v) * part
         return total
 
     @wp.func
     def entry(
-        gram: wp.array(dtype=dtype),
+        gram: wp.array2d(dtype=dtype),
+        which: int,
         terms: wp.array(dtype=wp.int32),
         factors: wp.array(dtype=wp.int32),
         gain_u: dtype,
@@ -126,7 +131,7 @@ def make_entry(dtype: type, columns: int, unrolled: bool) -> wp.Function:
         while n < TERMS * (p + 1):
             if factors[n] != 0 and factors[m] != 0:
                 weight = gain_factor(factors[n], gain_u, gain_v) * gain_factor(factors[m], gain_u, gain_v)
-                total += weight * projected(gram, projection, terms[n], terms[m])
+                total += weight * projected(gram, which, projection, terms[n], terms[m])
             m += 1
             if m == TERMS * (q + 1):
                 m = TERMS * q
@@ -160,22 +165,23 @@ def make_newton_step(dtype: type, columns: int, unrolled: bool) -> wp.Function:
 
     @wp.func
     def newton_step(
-        gram: wp.array(dtype=dtype),
+        gram: wp.array2d(dtype=dtype),
+        which: int,
         terms: wp.array(dtype=wp.int32),
         factors: wp.array(dtype=wp.int32),
+        parameters: int,
         damping: dtype,
         gain_u: dtype,
         gain_v: dtype,
         moments: vec_columns,
     ) -> vec:
-        parameters = terms.shape[0] // TERMS - 2
         lower = matrix()  # L, and D^-1 on its diagonal
-        guu = gram[columns * along_u + along_u]
-        guv = gram[columns * along_u + along_v]
-        gvv = gram[columns * along_v + along_v]
+        guu = gram[which, columns * along_u + along_u]
+        guv = gram[which, columns * along_u + along_v]
+        gvv = gram[which, columns * along_v + along_v]
         trace = guu + gvv
         for p in range(parameters):
-            diagonal = entry(gram, terms, factors, gain_u, gain_v, vec3(), p, p)
+            diagonal = entry(gram, which, terms, factors, gain_u, gain_v, vec3(), p, p)
             trace += diagonal
             for i in range(MOST):
                 lower[i, i] = wp.where(p == i, diagonal, lower[i, i])
@@ -197,7 +203,10 @@ def make_newton_step(dtype: type, columns: int, unrolled: bool) -> wp.Function:
                 if factors[n] != 0:
                     c = terms[n]
                     residual = pick(moments, c)
-                    residual += gram[columns * c + along_u] * rest_u + gram[columns * c + along_v] * rest_v
+                    residual += (
+                        gram[which, columns * c + along_u] * rest_u
+                        + gram[which, columns * c + along_v] * rest_v
+                    )
                     right -= gain_factor(factors[n], gain_u, gain_v) * residual
             for i in range(MOST):
                 step[i] = wp.where(p == i, right, step[i])
@@ -206,7 +215,7 @@ def make_newton_step(dtype: type, columns: int, unrolled: bool) -> wp.Function:
             if i < parameters:
                 row = vec()
                 for q in range(wp.static(i + 1)):
-                    row[q] = entry(gram, terms, factors, gain_u, gain_v, projection, i, q)
+                    row[q] = entry(gram, which, terms, factors, gain_u, gain_v, projection, i, q)
                 lower[i, i] = lower[i, i] + row[i]
                 for j in range(wp.static(i)):
                     for k in range(wp.static(j)):
@@ -248,11 +257,14 @@ def make_align_poses(dtype: type, columns: int, unrolled: bool) -> wp.Kernel:
     def align_poses(
         pairs: wp.array3d(dtype=vec_pair),
         image_idx: wp.array(dtype=wp.int32),
+        table_idx: wp.array(dtype=wp.int32),
         points: wp.array2d(dtype=dtype),
         table: wp.array(dtype=vec_columns),
-        gram: wp.array(dtype=dtype),
+        table_ptr: wp.array2d(dtype=wp.int32),
+        gram: wp.array2d(dtype=dtype),
         terms: wp.array(dtype=wp.int32),
         factors: wp.array(dtype=wp.int32),
+        parameters: wp.array(dtype=wp.int32),
         settings: wp.array(dtype=vec_settings),
         max_iterations: int,
         pose_inout: wp.array2d(dtype=dtype),
@@ -260,22 +272,24 @@ def make_align_poses(dtype: type, columns: int, unrolled: bool) -> wp.Kernel:
     ):
         h = wp.tid()
         b = image_idx[h]
-        count = points.shape[0]
+        which = table_idx[h]
+        first = table_ptr[which, 0]
+        end = table_ptr[which, 1]
         iterations = wp.int32(0)
         moving = wp.int32(1)
         while moving > 0:
             moments = vec_columns()
             energy = dtype(0.0)
-            for s in range(count):
+            for s in range(first, end):
                 x, y = project(pose_inout, h, points[s, 0], points[s, 1])
                 e = bilinear(pairs, b, x, y)
                 if e != dtype(0.0):
                     moments += e * table[s]
                     energy += e * e
-            guu = gram[columns * along_u + along_u]
-            guv = gram[columns * along_u + along_v]
-            gvv = gram[columns * along_v + along_v]
-            extra = settings[0][4] * (guu + gvv)
+            guu = gram[which, columns * along_u + along_u]
+            guv = gram[which, columns * along_u + along_v]
+            gvv = gram[which, columns * along_v + along_v]
+            extra = settings[which][4] * (guu + gvv)
             determinant = (guu + extra) * (gvv + extra) - guv * guv
             gain_u = -((gvv + extra) * moments[along_u] - guv * moments[along_v]) / determinant
             gain_v = -((guu + extra) * moments[along_v] - guv * moments[along_u]) / determinant
@@ -284,22 +298,25 @@ def make_align_poses(dtype: type, columns: int, unrolled: bool) -> wp.Kernel:
             result_out[h, 0] = gain_u
             result_out[h, 1] = gain_v
             result_out[h, 2] = cross / wp.sqrt(wp.max(model * energy, dtype(1.0e-20)))
-            result_out[h, 3] = wp.max(energy - dtype(2.0) * cross + model, dtype(0.0)) / dtype(count)
+            result_out[h, 3] = wp.max(energy - dtype(2.0) * cross + model, dtype(0.0)) / dtype(end - first)
             result_out[h, 4] = dtype(iterations)
             if iterations >= max_iterations or moving == 2:
                 moving = 0
             else:
                 # settings are read where they are needed: kept, they would take registers all along, and so
                 # would their addresses, were they no vector
-                step = newton_step(gram, terms, factors, settings[0][5], gain_u, gain_v, moments)
+                most = wp.min(parameters[which], terms.shape[0] // TERMS - 2)
+                step = newton_step(
+                    gram, which, terms, factors, most, settings[which][5], gain_u, gain_v, moments
+                )
                 size = dtype(0.0)
                 for p in range(MOST):
                     size += wp.abs(step[p])
                 step = step / wp.max(size, dtype(1.0))
-                centre_u = settings[0][0]
-                centre_v = settings[0][1]
-                scale_u = settings[0][2]
-                scale_v = settings[0][3]
+                centre_u = settings[which][0]
+                centre_v = settings[which][1]
+                scale_u = settings[which][2]
+                scale_v = settings[which][3]
                 longer = wp.max(scale_u, scale_v)
                 one = dtype(1.0)
                 zero = dtype(0.0)
@@ -327,15 +344,16 @@ def make_align_poses(dtype: type, columns: int, unrolled: bool) -> wp.Kernel:
                     for c in range(3):
                         pose_inout[h, 3 * r + c] = moved[r, c] / moved[2, 2]
                 iterations += 1
-                if size < settings[0][6]:
+                if size < settings[which][6]:
                     moving = 2
 
     return align_poses
 
 
 def align_poses(
-    image, image_idx, points, table, gram, terms, factors, settings, max_iterations, pose_inout, result_out
-) -> None:
+    image, image_idx, table_idx, points, table, table_ptr, gram, terms, factors, parameters, settings,
+    max_iterations, pose_inout, result_out,
+) -> None:  # fmt: skip
     """Launch; overwrites the results."""
     dtype, columns = image.dtype, table.shape[1]
     launch(
@@ -344,12 +362,15 @@ def align_poses(
         inputs=[
             neighbours(image, 2),
             image_idx,
+            table_idx,
             points,
             last_axis_as_vector(table),
-            gram.flatten(),
+            table_ptr,
+            gram.reshape((gram.shape[0], columns * columns)),
             terms.flatten(),
             factors.flatten(),
-            last_axis_as_vector(settings.reshape((1, SETTINGS))),
+            parameters,
+            last_axis_as_vector(settings),
             max_iterations,
         ],
         outputs=[pose_inout, result_out],

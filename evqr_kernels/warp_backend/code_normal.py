@@ -64,8 +64,8 @@ def make_code_stencil(dtype: type) -> wp.Kernel:
 
 
 def code_normal_equations(
-    image, pose, lattice_u, lattice_v, profile, slope, gain, samples_a_module: int, samples_out, rows_out,
-    stencil_out, rhs_out,
+    image, pose, space_idx, lattice_u, lattice_v, sides, profile, slope, gain, samples_a_module: int,
+    samples_out, rows_out, stencil_out, rhs_out,
 ) -> None:  # fmt: skip
     """Launch; overwrites."""
     launch(
@@ -76,8 +76,8 @@ def code_normal_equations(
         device=image.device,
     )
     code_rhs(
-        image, pose, lattice_u, lattice_v, profile, slope, gain, samples_a_module, samples_out, rows_out,
-        rhs_out,
+        image, pose, space_idx, lattice_u, lattice_v, sides, profile, slope, gain, samples_a_module,
+        samples_out, rows_out, rhs_out,
     )  # fmt: skip
 
 
@@ -88,7 +88,7 @@ def make_code_product(dtype: type) -> wp.Kernel:
 
     @wp.kernel(module=module_of("code_normal", dtype))
     def code_product(
-        q: wp.array3d(dtype=dtype),
+        q: wp.array4d(dtype=dtype),
         stencil: wp.array3d(dtype=dtype),
         damping: wp.array(dtype=dtype),
         free: wp.array2d(dtype=wp.int32),
@@ -97,7 +97,7 @@ def make_code_product(dtype: type) -> wp.Kernel:
         b, i, j = wp.tid()
         total = dtype(0.0)
         if free[i, j] != 0:
-            total = product_at(stencil, q, q, dtype(0.0), b, i, j) + damping[b] * q[b, i, j]
+            total = product_at(stencil, q, 0, 0, dtype(0.0), b, i, j) + damping[b] * q[b, 0, i, j]
         product_out[b, i, j] = total
 
     return code_product
@@ -108,7 +108,7 @@ def code_product(q, stencil, damping, free, product_out) -> None:
     launch(
         make_code_product(q.dtype),
         q.shape,
-        inputs=[q, stencil, damping, free],
+        inputs=[q.reshape((q.shape[0], 1, *q.shape[1:])), stencil, damping, free],
         outputs=[product_out],
         device=q.device,
     )

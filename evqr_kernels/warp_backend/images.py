@@ -164,7 +164,8 @@ def make_mix_images(dtype: type, block: int) -> wp.Kernel:
 
     @wp.kernel(module=module_of(f"mix_{block}", dtype))
     def mix_images(
-        blocks: wp.array3d(dtype=vec_block),
+        blocks: wp.array4d(dtype=vec_block),
+        image_idx: wp.array(dtype=wp.int32),
         weight: wp.array2d(dtype=dtype),
         blocks_out: wp.array3d(dtype=vec_block),
     ):
@@ -173,20 +174,20 @@ def make_mix_images(dtype: type, block: int) -> wp.Kernel:
         x = wp.min(block * k, blocks_out.shape[2] - 1)
         total = vec_block()
         for i in range(weight.shape[1]):
-            total += weight[n, i] * blocks[i, y, x]
+            total += weight[n, i] * blocks[image_idx[n], i, y, x]
         blocks_out[n, y, x] = total
 
     return mix_images
 
 
-def mix_images(images, weight, images_out) -> None:
+def mix_images(images, image_idx, weight, images_out) -> None:
     """Launch; overwrites."""
     count, height, width = images_out.shape
     block = variant("mix_images", images.device, width).tile
     launch(
         make_mix_images(images.dtype, block),
         (count, height, -(-width // block)),
-        inputs=[neighbours(images, block), weight],
+        inputs=[neighbours(images, block), image_idx, weight],
         outputs=[neighbours(images_out, block)],
         device=images.device,
     )

@@ -12,25 +12,40 @@ from functools import cache
 
 import warp as wp
 
-from evqr_kernels.warp_backend.language import launch, module_of
+from evqr_kernels.warp_backend.language import launch, module_of, neighbours, vector
+
+BLOCK = 8
+"""Neighbouring modules done together."""
 
 
 @cache
 def make_pull_modules(dtype: type) -> wp.Kernel:
-    """Build the pull; launch: one thread per row."""
+    """Build the pull; launch: one thread per row.  ``.._blocks``: `neighbours`."""
+    vec_block = vector(BLOCK, dtype)
 
-    @wp.kernel(module=module_of("solve", dtype))
+    @wp.kernel(module=module_of("pull", dtype))
     def pull_modules(
         seen: wp.array3d(dtype=dtype),
+        seen_blocks: wp.array3d(dtype=vec_block),
         q: wp.array3d(dtype=dtype),
+        q_blocks: wp.array3d(dtype=vec_block),
         damping: wp.array(dtype=dtype),
         certainty: dtype,
         rhs_out: wp.array3d(dtype=dtype),
+        rhs_blocks_out: wp.array3d(dtype=vec_block),
         unclear_out: wp.array2d(dtype=wp.int32),
     ):
         b, i = wp.tid()
+        ones = vec_block(dtype(1.0))
+        whole = (q.shape[2] // BLOCK) * BLOCK
         unclear = wp.int32(0)
-        for j in range(q.shape[2]):
+        for j in range(0, whole, BLOCK):
+            leaning_block = certainty * (q_blocks[b, i, j] + ones)
+            expected_block = wp.max(wp.min(leaning_block, ones), -ones)
+            rhs_blocks_out[b, i, j] = seen_blocks[b, i, j] + damping[b] * (ones - expected_block)
+            for c in range(wp.static(BLOCK)):
+                unclear += wp.where(wp.abs(leaning_block[c]) < dtype(1.0), 1, 0)
+        for j in range(whole, q.shape[2]):
             leaning = certainty * (q[b, i, j] + dtype(1.0))
             expected = wp.clamp(leaning, dtype(-1.0), dtype(1.0))
             rhs_out[b, i, j] = seen[b, i, j] + damping[b] * (dtype(1.0) - expected)
@@ -45,7 +60,7 @@ def pull_modules(seen, q, damping, certainty: float, rhs_out, unclear_out) -> No
     launch(
         make_pull_modules(q.dtype),
         q.shape[:2],
-        inputs=[seen, q, damping, certainty],
-        outputs=[rhs_out, unclear_out],
+        inputs=[seen, neighbours(seen, BLOCK), q, neighbours(q, BLOCK), damping, certainty],
+        outputs=[rhs_out, neighbours(rhs_out, BLOCK), unclear_out],
         device=q.device,
     )

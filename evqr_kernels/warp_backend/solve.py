@@ -10,6 +10,9 @@ is solved from the q that is given until the residual is ``tolerance`` times wha
     beta = |r|^2 / |r before|^2,    d = r + beta d,        p = (S + damping I) d,
     step = |r|^2 / d.p,             q = q + step d,        r = r - step p
 
+Each window shows one of several codes, which may be smaller than the arrays are: its free modules lie within
+``bounds``.  A window in which no more than ``enough`` modules are ``unclear`` is left as it is.
+
 On the CPU one thread solves one window in a single launch (a launch costs as much as an iteration).  On a GPU
 one thread owns one row of modules and an iteration is two launches; each dot product is a sum of row sums
 that every row adds up for itself, so there is no atomic and no host read.  Windows that have converged do
@@ -25,6 +28,12 @@ from evqr_kernels.warp_backend.language import launch, launch_bounds, module_of,
 BLOCK = 8
 """Neighbouring modules done together on the CPU."""
 
+RESIDUAL, DIRECTION, PRODUCT, MASK, MODULES = map(wp.constant, range(5))
+"""Fields that a solution works on: r, d and p of the formulas; 1 where a module is free; and q."""
+
+NEXT_DIRECTION = MASK
+"""On a GPU, where a new direction is written while the old one is read: the two change places."""
+
 
 @cache
 def make_stencil_at(dtype: type) -> wp.Function:
@@ -32,112 +41,197 @@ def make_stencil_at(dtype: type) -> wp.Function:
 
     @wp.func
     def stencil_at(
-        field: wp.array3d(dtype=dtype), stencil: wp.array3d(dtype=dtype), b: int, i: int, j: int
+        fields: wp.array4d(dtype=dtype), plane: int, stencil: wp.array3d(dtype=dtype), b: int, i: int, j: int
     ) -> dtype:
         reach = stencil.shape[1] // 2
         total = dtype(0.0)
-        for k in range(wp.max(-reach, -i), wp.min(reach + 1, field.shape[1] - i)):
-            for m in range(wp.max(-reach, -j), wp.min(reach + 1, field.shape[2] - j)):
-                total += stencil[b, k + reach, m + reach] * field[b, i + k, j + m]
+        for k in range(wp.max(-reach, -i), wp.min(reach + 1, fields.shape[2] - i)):
+            for m in range(wp.max(-reach, -j), wp.min(reach + 1, fields.shape[3] - j)):
+                total += stencil[b, k + reach, m + reach] * fields[b, plane, i + k, j + m]
         return total
 
     return stencil_at
 
 
 @cache
-def make_solve_windows(dtype: type) -> wp.Kernel:
-    """Build the whole solution; launch: one thread per window.  ``.._blocks``: `neighbours` of direction."""
+def make_solve_windows(dtype: type, side: int) -> wp.Kernel:
+    """Build the whole solution with a stencil of ``side`` modules; launch: one thread per window.
+
+    ``.._blocks``: `neighbours`.  A block that goes beyond a window's code holds modules that are not free, as
+    long as it lies in the array with all that they meet; nearer to the border modules are done one by one.
+    """
     vec_block = vector(BLOCK, dtype)
     stencil_at = make_stencil_at(dtype)
+    reach = side // 2
 
-    @wp.kernel(module=module_of("solve", dtype))
+    @wp.func
+    def is_inside(fields: wp.array4d(dtype=dtype), i: int, j: int) -> bool:
+        rows = i >= wp.static(reach) and i + wp.static(reach) < fields.shape[2]
+        return rows and j >= wp.static(reach) and j + wp.static(BLOCK + reach) <= fields.shape[3]
+
+    @wp.func
+    def block_at(
+        blocks: wp.array4d(dtype=vec_block),
+        plane: int,
+        stencil: wp.array3d(dtype=dtype),
+        b: int,
+        i: int,
+        j: int,
+    ) -> vec_block:
+        total = vec_block()
+        for k in range(wp.static(side)):
+            for n in range(wp.static(side)):
+                near = blocks[b, plane, i + wp.static(k - reach), j + wp.static(n - reach)]
+                total += stencil[b, wp.static(k), wp.static(n)] * near
+        return total
+
+    @wp.kernel(module=module_of(f"solve_{side}", dtype))
     def solve_windows(
         rhs: wp.array3d(dtype=dtype),
         stencil: wp.array3d(dtype=dtype),
         damping: wp.array(dtype=dtype),
-        free: wp.array2d(dtype=wp.int32),
+        space_idx: wp.array(dtype=wp.int32),
+        free: wp.array3d(dtype=wp.int32),
+        bounds: wp.array2d(dtype=wp.int32),
+        unclear: wp.array2d(dtype=wp.int32),
+        enough: wp.array(dtype=wp.int32),
         max_iterations: int,
         tolerance: dtype,
-        residual_out: wp.array3d(dtype=dtype),
-        direction_out: wp.array3d(dtype=dtype),
-        direction_blocks_out: wp.array3d(dtype=vec_block),
-        product_out: wp.array3d(dtype=dtype),
+        fields_out: wp.array4d(dtype=dtype),
+        blocks_out: wp.array4d(dtype=vec_block),
         q_inout: wp.array3d(dtype=dtype),
         iterations_out: wp.array(dtype=wp.int32),
     ):
         b = wp.tid()
-        rows = free.shape[0]
-        columns = free.shape[1]
-        reach = stencil.shape[1] // 2
+        m = space_idx[b]
+        left_unclear = wp.int32(0)
+        for i in range(unclear.shape[1]):
+            left_unclear += unclear[b, i]
+        iterations_out[b] = 0
+        if left_unclear <= enough[m]:
+            return
+        top = bounds[m, 0]
+        bottom = bounds[m, 1]
+        left = bounds[m, 2]
+        right = bounds[m, 3]
+        # what free modules meet, and what blocks beyond the last of them meet
+        first = wp.max(left - wp.static(reach), 0)
+        last = wp.min(right + wp.static(BLOCK + reach), rhs.shape[2])
+        for i in range(wp.max(top - wp.static(reach), 0), wp.min(bottom + wp.static(reach), rhs.shape[1])):
+            for j in range(first, last):
+                is_free = dtype(0.0)
+                if i >= top and i < bottom and j >= left and j < right and free[m, i, j] != 0:
+                    is_free = dtype(1.0)
+                fields_out[b, RESIDUAL, i, j] = -rhs[b, i, j]
+                fields_out[b, DIRECTION, i, j] = dtype(0.0)
+                fields_out[b, MASK, i, j] = is_free
+                fields_out[b, MODULES, i, j] = q_inout[b, i, j]
         norm = dtype(0.0)
-        for i in range(rows):
-            for j in range(columns):
-                r = dtype(0.0)
-                if free[i, j] != 0:
-                    r = -rhs[b, i, j] - stencil_at(q_inout, stencil, b, i, j) - damping[b] * q_inout[b, i, j]
-                residual_out[b, i, j] = r
-                direction_out[b, i, j] = dtype(0.0)
-                product_out[b, i, j] = dtype(0.0)
-                norm += r * r
-        enough = tolerance * tolerance * norm
+        norms = vec_block()
+        for i in range(top, bottom):
+            j = left
+            while j < right:
+                if is_inside(fields_out, i, j):
+                    seen = blocks_out[b, RESIDUAL, i, j] - block_at(blocks_out, MODULES, stencil, b, i, j)
+                    r_block = wp.cw_mul(
+                        blocks_out[b, MASK, i, j], seen - damping[b] * blocks_out[b, MODULES, i, j]
+                    )
+                    blocks_out[b, RESIDUAL, i, j] = r_block
+                    norms += wp.cw_mul(r_block, r_block)
+                    j += BLOCK
+                else:
+                    r = fields_out[b, RESIDUAL, i, j] - stencil_at(fields_out, MODULES, stencil, b, i, j)
+                    r = fields_out[b, MASK, i, j] * (r - damping[b] * fields_out[b, MODULES, i, j])
+                    fields_out[b, RESIDUAL, i, j] = r
+                    norm += r * r
+                    j += 1
+        for c in range(wp.static(BLOCK)):
+            norm += norms[c]
+        least = tolerance * tolerance * norm
         before = norm
         iterations = wp.int32(0)
-        while iterations < max_iterations and norm > enough:
+        while iterations < max_iterations and norm > least:
             beta = norm / before
-            for i in range(rows):
-                for j in range(columns):
-                    direction_out[b, i, j] = residual_out[b, i, j] + beta * direction_out[b, i, j]
-            curvature = dtype(0.0)
-            for i in range(rows):
-                j = wp.int32(0)
-                while j < columns:
-                    # a whole block whose neighbourhood lies inside the grid, or a single module
-                    if i >= reach and i + reach < rows and j >= reach and j + BLOCK + reach <= columns:
-                        total = vec_block()
-                        for k in range(2 * reach + 1):
-                            for m in range(2 * reach + 1):
-                                total += (
-                                    stencil[b, k, m] * direction_blocks_out[b, i + k - reach, j + m - reach]
-                                )
-                        for c in range(BLOCK):
-                            if free[i, j + c] != 0:
-                                d = direction_out[b, i, j + c]
-                                product = total[c] + damping[b] * d
-                                product_out[b, i, j + c] = product
-                                curvature += product * d
+            for i in range(top, bottom):
+                j = left
+                while j < right:
+                    if is_inside(fields_out, i, j):
+                        blocks_out[b, DIRECTION, i, j] = (
+                            blocks_out[b, RESIDUAL, i, j] + beta * blocks_out[b, DIRECTION, i, j]
+                        )
                         j += BLOCK
                     else:
-                        if free[i, j] != 0:
-                            d = direction_out[b, i, j]
-                            product = stencil_at(direction_out, stencil, b, i, j) + damping[b] * d
-                            product_out[b, i, j] = product
-                            curvature += product * d
+                        fields_out[b, DIRECTION, i, j] = (
+                            fields_out[b, RESIDUAL, i, j] + beta * fields_out[b, DIRECTION, i, j]
+                        )
                         j += 1
+            curvature = dtype(0.0)
+            curvatures = vec_block()
+            for i in range(top, bottom):
+                j = left
+                while j < right:
+                    if is_inside(fields_out, i, j):
+                        d_block = blocks_out[b, DIRECTION, i, j]
+                        p_block = block_at(blocks_out, DIRECTION, stencil, b, i, j) + damping[b] * d_block
+                        p_block = wp.cw_mul(blocks_out[b, MASK, i, j], p_block)
+                        blocks_out[b, PRODUCT, i, j] = p_block
+                        curvatures += wp.cw_mul(p_block, d_block)
+                        j += BLOCK
+                    else:
+                        d = fields_out[b, DIRECTION, i, j]
+                        p = stencil_at(fields_out, DIRECTION, stencil, b, i, j) + damping[b] * d
+                        p *= fields_out[b, MASK, i, j]
+                        fields_out[b, PRODUCT, i, j] = p
+                        curvature += p * d
+                        j += 1
+            for c in range(wp.static(BLOCK)):
+                curvature += curvatures[c]
             step = norm / curvature
             before = norm
             norm = dtype(0.0)
-            for i in range(rows):
-                for j in range(columns):
-                    q_inout[b, i, j] = q_inout[b, i, j] + step * direction_out[b, i, j]
-                    r = residual_out[b, i, j] - step * product_out[b, i, j]
-                    residual_out[b, i, j] = r
-                    norm += r * r
+            norms = vec_block()
+            for i in range(top, bottom):
+                j = left
+                while j < right:
+                    if is_inside(fields_out, i, j):
+                        blocks_out[b, MODULES, i, j] = (
+                            blocks_out[b, MODULES, i, j] + step * blocks_out[b, DIRECTION, i, j]
+                        )
+                        r_block = blocks_out[b, RESIDUAL, i, j] - step * blocks_out[b, PRODUCT, i, j]
+                        blocks_out[b, RESIDUAL, i, j] = r_block
+                        norms += wp.cw_mul(r_block, r_block)
+                        j += BLOCK
+                    else:
+                        fields_out[b, MODULES, i, j] = (
+                            fields_out[b, MODULES, i, j] + step * fields_out[b, DIRECTION, i, j]
+                        )
+                        r = fields_out[b, RESIDUAL, i, j] - step * fields_out[b, PRODUCT, i, j]
+                        fields_out[b, RESIDUAL, i, j] = r
+                        norm += r * r
+                        j += 1
+            for c in range(wp.static(BLOCK)):
+                norm += norms[c]
             iterations += 1
+        for i in range(top, bottom):
+            for j in range(left, right):
+                q_inout[b, i, j] = fields_out[b, MODULES, i, j]
         iterations_out[b] = iterations
 
     return solve_windows
 
 
 def solve_windows(
-    rhs, stencil, damping, free, scratch, q_inout, iterations_out, max_iterations, tolerance
-) -> None:
+    rhs, stencil, damping, space_idx, free, bounds, unclear, enough, scratch, q_inout, iterations_out,
+    max_iterations, tolerance,
+) -> None:  # fmt: skip
     """Launch the CPU's variant; q is updated in place, the rest overwritten."""
-    residual, direction, _, product, _, _ = scratch
+    fields, _, _ = scratch
+    about = space_idx, free, bounds, unclear, enough
     launch(
-        make_solve_windows(rhs.dtype),
+        make_solve_windows(rhs.dtype, stencil.shape[1]),
         rhs.shape[0],
-        inputs=[rhs, stencil, damping, free, max_iterations, tolerance],
-        outputs=[residual, direction, neighbours(direction, BLOCK), product, q_inout, iterations_out],
+        inputs=[rhs, stencil, damping, *about, max_iterations, tolerance],
+        outputs=[fields, neighbours(fields, BLOCK), q_inout, iterations_out],
         device=rhs.device,
     )
 
@@ -158,13 +252,14 @@ def make_sum_rows(dtype: type) -> wp.Function:
 
 @cache
 def make_product_at(dtype: type) -> wp.Function:
-    """Build the function that applies the stencil at one module to ``first + beta second``."""
+    """Build the function that applies the stencil at one module to two fields, ``first + beta second``."""
 
     @wp.func
     def product_at(
         stencil: wp.array3d(dtype=dtype),
-        first: wp.array3d(dtype=dtype),
-        second: wp.array3d(dtype=dtype),
+        fields: wp.array4d(dtype=dtype),
+        first: int,
+        second: int,
         beta: dtype,
         b: int,
         i: int,
@@ -178,8 +273,9 @@ def make_product_at(dtype: type) -> wp.Function:
             m = n - k * side
             row = i + k - side // 2
             column = j + m - side // 2
-            if row >= 0 and column >= 0 and row < first.shape[1] and column < first.shape[2]:
-                total += stencil[b, k, m] * (first[b, row, column] + beta * second[b, row, column])
+            if row >= 0 and column >= 0 and row < fields.shape[2] and column < fields.shape[3]:
+                both = fields[b, first, row, column] + beta * fields[b, second, row, column]
+                total += stencil[b, k, m] * both
         return total
 
     return product_at
@@ -195,22 +291,31 @@ def make_start(dtype: type) -> wp.Kernel:
         rhs: wp.array3d(dtype=dtype),
         stencil: wp.array3d(dtype=dtype),
         damping: wp.array(dtype=dtype),
-        free: wp.array2d(dtype=wp.int32),
-        q: wp.array3d(dtype=dtype),
-        residual_out: wp.array3d(dtype=dtype),
-        direction_out: wp.array3d(dtype=dtype),
+        space_idx: wp.array(dtype=wp.int32),
+        free: wp.array3d(dtype=wp.int32),
+        bounds: wp.array2d(dtype=wp.int32),
+        unclear: wp.array2d(dtype=wp.int32),
+        enough: wp.array(dtype=wp.int32),
+        q: wp.array4d(dtype=dtype),
+        fields_out: wp.array4d(dtype=dtype),
         rows_out: wp.array3d(dtype=dtype),
         iterations_out: wp.array(dtype=wp.int32),
     ):
         b, i = wp.tid()
+        m = space_idx[b]
+        left_unclear = wp.int32(0)
+        for k in range(unclear.shape[1]):
+            left_unclear += unclear[b, k]
+        # of a window that is clear enough nothing is free: its residual is 0
+        inside = left_unclear > enough[m] and i >= bounds[m, 0] and i < bounds[m, 1]
         norm = dtype(0.0)
-        for j in range(free.shape[1]):
+        for j in range(q.shape[3]):
             r = dtype(0.0)
-            if free[i, j] != 0:
-                product = product_at(stencil, q, q, dtype(0.0), b, i, j)
-                r = -rhs[b, i, j] - product - damping[b] * q[b, i, j]
-            residual_out[b, i, j] = r
-            direction_out[b, i, j] = dtype(0.0)
+            if inside and j >= bounds[m, 2] and j < bounds[m, 3] and free[m, i, j] != 0:
+                product = product_at(stencil, q, 0, 0, dtype(0.0), b, i, j)
+                r = -rhs[b, i, j] - product - damping[b] * q[b, 0, i, j]
+            fields_out[b, RESIDUAL, i, j] = r
+            fields_out[b, DIRECTION, i, j] = dtype(0.0)
             norm += r * r
         rows_out[b, 0, i] = norm
         rows_out[b, 1, i] = norm
@@ -232,28 +337,32 @@ def make_apply(dtype: type) -> wp.Kernel:
     def apply(
         stencil: wp.array3d(dtype=dtype),
         damping: wp.array(dtype=dtype),
-        free: wp.array2d(dtype=wp.int32),
-        residual: wp.array3d(dtype=dtype),
-        direction: wp.array3d(dtype=dtype),
+        space_idx: wp.array(dtype=wp.int32),
+        free: wp.array3d(dtype=wp.int32),
+        bounds: wp.array2d(dtype=wp.int32),
         tolerance: dtype,
-        direction_out: wp.array3d(dtype=dtype),
-        product_out: wp.array3d(dtype=dtype),
+        direction: int,
+        next_direction: int,
+        fields_inout: wp.array4d(dtype=dtype),
         rows_inout: wp.array3d(dtype=dtype),
     ):
         b, i = wp.tid()
         norm = sum_rows(rows_inout, b, 1)
         if norm <= tolerance * tolerance * sum_rows(rows_inout, b, 0):
             return
+        m = space_idx[b]
         beta = norm / sum_rows(rows_inout, b, 3)
+        inside = i >= bounds[m, 0] and i < bounds[m, 1]
         curvature = dtype(0.0)
-        for j in range(free.shape[1]):
-            own = residual[b, i, j] + beta * direction[b, i, j]
+        for j in range(fields_inout.shape[3]):
+            own = fields_inout[b, RESIDUAL, i, j] + beta * fields_inout[b, direction, i, j]
             total = dtype(0.0)
-            if free[i, j] != 0:
+            if inside and j >= bounds[m, 2] and j < bounds[m, 3] and free[m, i, j] != 0:
                 # the neighbours' new directions, perhaps not yet written by their owners, are made again here
-                total = product_at(stencil, residual, direction, beta, b, i, j) + damping[b] * own
-            direction_out[b, i, j] = own
-            product_out[b, i, j] = total
+                total = product_at(stencil, fields_inout, RESIDUAL, direction, beta, b, i, j)
+                total += damping[b] * own
+            fields_inout[b, next_direction, i, j] = own
+            fields_inout[b, PRODUCT, i, j] = total
             curvature += total * own
         rows_inout[b, 2, i] = curvature
 
@@ -267,12 +376,11 @@ def make_update(dtype: type) -> wp.Kernel:
 
     @wp.kernel(module=module_of("solve_rows", dtype))
     def update(
-        direction: wp.array3d(dtype=dtype),
-        product: wp.array3d(dtype=dtype),
         tolerance: dtype,
+        direction: int,
         rows: wp.array3d(dtype=dtype),
         rows_out: wp.array3d(dtype=dtype),
-        residual_inout: wp.array3d(dtype=dtype),
+        fields_inout: wp.array4d(dtype=dtype),
         q_inout: wp.array3d(dtype=dtype),
         iterations_inout: wp.array(dtype=wp.int32),
     ):
@@ -285,10 +393,10 @@ def make_update(dtype: type) -> wp.Kernel:
             return
         step = norm / sum_rows(rows, b, 2)
         norm_row = dtype(0.0)
-        for j in range(product.shape[2]):
-            q_inout[b, i, j] = q_inout[b, i, j] + step * direction[b, i, j]
-            r = residual_inout[b, i, j] - step * product[b, i, j]
-            residual_inout[b, i, j] = r
+        for j in range(q_inout.shape[2]):
+            q_inout[b, i, j] = q_inout[b, i, j] + step * fields_inout[b, direction, i, j]
+            r = fields_inout[b, RESIDUAL, i, j] - step * fields_inout[b, PRODUCT, i, j]
+            fields_inout[b, RESIDUAL, i, j] = r
             norm_row += r * r
         rows_out[b, 1, i] = norm_row
         if i == 0:
@@ -298,31 +406,34 @@ def make_update(dtype: type) -> wp.Kernel:
 
 
 def solve_rows(
-    rhs, stencil, damping, free, scratch, q_inout, iterations_out, max_iterations, tolerance
-) -> None:
+    rhs, stencil, damping, space_idx, free, bounds, unclear, enough, scratch, q_inout, iterations_out,
+    max_iterations, tolerance,
+) -> None:  # fmt: skip
     """Launch the GPU's variant; q is updated in place, the rest overwritten."""
     dtype, device, rows = rhs.dtype, rhs.device, rhs.shape[:2]
-    residual, direction, next_direction, product, sums, next_sums = scratch
+    fields, sums, next_sums = scratch
+    system = stencil, damping, space_idx, free, bounds
     launch(
         make_start(dtype),
         rows,
-        inputs=[rhs, stencil, damping, free, q_inout],
-        outputs=[residual, direction, sums, iterations_out],
+        inputs=[rhs, *system, unclear, enough, q_inout.reshape((rows[0], 1, *q_inout.shape[1:]))],
+        outputs=[fields, sums, iterations_out],
         device=device,
     )
+    direction, next_direction = int(DIRECTION), int(NEXT_DIRECTION)
     for _ in range(max_iterations):
         launch(
             make_apply(dtype),
             rows,
-            inputs=[stencil, damping, free, residual, direction, tolerance],
-            outputs=[next_direction, product, sums],
+            inputs=[*system, tolerance, direction, next_direction],
+            outputs=[fields, sums],
             device=device,
         )
         launch(
             make_update(dtype),
             rows,
-            inputs=[next_direction, product, tolerance, sums],
-            outputs=[next_sums, residual, q_inout, iterations_out],
+            inputs=[tolerance, next_direction, sums],
+            outputs=[next_sums, fields, q_inout, iterations_out],
             device=device,
         )
         direction, next_direction = next_direction, direction
@@ -330,10 +441,13 @@ def solve_rows(
 
 
 def solve_code(
-    rhs, stencil, damping, free, max_iterations: int, tolerance: float, residual_out, direction_out,
-    next_direction_out, product_out, sums_out, next_sums_out, q_inout, iterations_out,
+    rhs, stencil, damping, space_idx, free, bounds, unclear, enough, max_iterations: int, tolerance: float,
+    fields_out, sums_out, next_sums_out, q_inout, iterations_out,
 ) -> None:  # fmt: skip
     """Launch the variant that suits the device."""
     launch_variant = solve_windows if rhs.device.is_cpu else solve_rows
-    scratch = residual_out, direction_out, next_direction_out, product_out, sums_out, next_sums_out
-    launch_variant(rhs, stencil, damping, free, scratch, q_inout, iterations_out, max_iterations, tolerance)
+    scratch = fields_out, sums_out, next_sums_out
+    launch_variant(
+        rhs, stencil, damping, space_idx, free, bounds, unclear, enough, scratch, q_inout, iterations_out,
+        max_iterations, tolerance,
+    )  # fmt: skip

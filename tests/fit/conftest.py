@@ -76,8 +76,8 @@ def see(workspace):
         space = qr.space(truth["version"])
         window = window_of(made, travel_px, middle=time)
         region = region_around(pose, space, cfg, margin_px=4.0)
-        cells = deposit(window, motion, region, workspace=workspace).cells
-        image = sharpen(cells, motion, region, [(0.0, 0.0)], workspace=workspace)
+        deposited = deposit(window, motion, region, workspace=workspace)
+        image = sharpen(deposited, motion, region, [(0.0, 0.0)], workspace=workspace)
         return Seen(
             space=space,
             modules=1.0 - 2.0 * truth["modules"],

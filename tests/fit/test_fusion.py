@@ -4,12 +4,11 @@ import dense
 import numpy as np
 import pytest
 from scenes import middle_us, scene
-from steps import normal_equations
+from steps import normal_equations, solved
 
 from evqr.config import AlignConfig, ModulesConfig, Vote
 from evqr.fit.align import align, fine_levels
 from evqr.fit.fusion import Fusion
-from evqr.fit.modules import solve_modules
 from evqr.symbol import qr
 from evqr.workspace import Images
 
@@ -92,7 +91,7 @@ def test_mode_is_the_majority_of_signs(windows, workspace):
     seen, gain = windows[0]
     right = equations(seen, gain, workspace)
     wrong_sign = equations(seen, -gain, workspace)
-    alone = [np.sign(solve_modules(e, CONFIG, workspace=workspace).q) for e in (right, wrong_sign)]
+    alone = [np.sign(solved(e, CONFIG, workspace=workspace).q) for e in (right, wrong_sign)]
     fusion = Fusion(Vote.MODE, CONFIG, workspace=workspace)
     for window in (right, wrong_sign, right):
         estimate = fusion.add(window, 1.0)
@@ -114,7 +113,7 @@ def test_soft_weighs_windows_by_their_information(windows, workspace):
     good = equations(*windows[0], workspace)
     seen, gain = windows[1]
     bad = equations(seen, -gain, workspace)
-    alone = solve_modules(good, CONFIG, workspace=workspace).q
+    alone = solved(good, CONFIG, workspace=workspace).q
     for variance, follows in ((1e6, True), (1e-6, False)):
         fusion = Fusion(Vote.SOFT, CONFIG, workspace=workspace)
         fusion.add(good, 1.0)
@@ -125,7 +124,7 @@ def test_soft_weighs_windows_by_their_information(windows, workspace):
 
 def test_soft_of_equal_windows_is_each_of_them(windows, workspace):
     one = equations(*windows[0], workspace)
-    alone = solve_modules(one.weighted(2.0), CONFIG, workspace=workspace).q
+    alone = solved(one.weighted(2.0), CONFIG, workspace=workspace).q
     fusion = Fusion(Vote.SOFT, CONFIG, workspace=workspace)
     for _ in range(3):
         q = fusion.add(one, 2.0).q

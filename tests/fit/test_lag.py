@@ -7,7 +7,8 @@ from steps import deposit
 
 from evqr.config import ReadConfig
 from evqr.fit.align import align, fine_levels
-from evqr.fit.lag import estimate_lag
+from evqr.fit.detection import Target
+from evqr.fit.lag import estimate_lags
 from evqr.simulate import SensorConfig
 
 CONFIG = ReadConfig()
@@ -25,10 +26,9 @@ def estimated(made, workspace, see):
         workspace=workspace,
     )
     cells = deposit(seen.window, seen.motion, seen.region, workspace=workspace)
-    lag_px, found = estimate_lag(
-        cells, seen.motion, seen.region, without.pose[0], seen.space, CONFIG, workspace=workspace
-    )
-    return seen, without, np.array(lag_px), found
+    target = Target(seen.space, seen.pose, seen.motion)
+    lag_px, found = estimate_lags(cells, [target], [seen.region], without.pose, CONFIG, workspace=workspace)
+    return seen, without, lag_px[0], found
 
 
 @pytest.mark.parametrize(

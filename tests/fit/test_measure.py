@@ -11,9 +11,10 @@ from evqr.fit.align import align, fine_levels
 from evqr.fit.detection import Target
 from evqr.fit.image import depositing
 from evqr.fit.measure import Measure, measure
-from evqr.fit.model import lattices, profiles
-from evqr.fit.modules import REACH, SUPPORT, Solution
+from evqr.fit.model import profiles
+from evqr.fit.modules import SUPPORT, Solution
 from evqr.fit.region import region_around
+from evqr.fit.tables import REACH, Codes, room_for
 from evqr.symbol import qr
 from evqr.symbol.decode import decode_grid
 from evqr.symbol.decoded import Decoded
@@ -47,22 +48,24 @@ def solving(step, equations, workspace):
     ``equations`` of an earlier window say how strong the damping is.
     """
     cfg, samples, one = CONFIG.modules, CONFIG.modules.samples, CONFIG.align
-    solution = Solution(SPACE, cfg, workspace)
-    solution.write(equations)
+    codes, room = Codes.of(workspace), room_for([SPACE])
+    number = codes.number(SPACE)
+    tables = codes.modules(cfg, [number])
+    solution = Solution(1, tables, room, cfg, workspace)
+    solution.write([equations], [number])
     solution._damping.write(DAMPING * equations.stencil[REACH, REACH])
     profile, slope, _ = profiles((np.arange(SUPPORT * samples) + 0.5) / samples - SUPPORT // 2, one.sigma)
-    across, down, profile, slope = (
-        workspace.put(f.astype(np.float32)) for f in (*lattices(SPACE, samples), profile, slope)
-    )
-    sizes = {"S": len(across), "T": len(down), "samples_a_module": samples}
-    scratch = workspace.scratch("code_normal_equations", B=1, **sizes)
+    profile, slope = (workspace.put(f.astype(np.float32)) for f in (profile, slope))
+    sizes = {"S": room[1] * samples, "T": room[0] * samples, "P": SUPPORT * samples}
+    scratch = workspace.scratch("code_normal_equations", B=1, samples_a_module=samples, **sizes)
 
     def launch():
         workspace.backend.code_normal_equations(
-            step.images.device, step.align.pose, across, down, profile, slope, step.align.gain, samples,
-            *scratch, solution._stencil.device, solution._seen.device,
+            step.images.device, step.align.pose, step.align.number, tables["lattice_u"], tables["lattice_v"],
+            tables["sides"], profile, slope, step.align.gain, samples, *scratch, solution._stencil.device,
+            solution._seen.device,
         )  # fmt: skip
-        solution.launch_first()
+        solution.launch()
 
     return solution, launch
 
@@ -70,8 +73,8 @@ def solving(step, equations, workspace):
 def assert_same(measured, found, equations):
     np.testing.assert_array_equal(measured.alignment.pose, found.pose)
     np.testing.assert_array_equal(measured.alignment.score, found.score)
-    np.testing.assert_array_equal(measured.equations.rhs, equations.rhs)
-    np.testing.assert_array_equal(measured.equations.stencil, equations.stencil)
+    np.testing.assert_array_equal(measured.equations[0].rhs, equations.rhs)
+    np.testing.assert_array_equal(measured.equations[0].stencil, equations.stencil)
 
 
 @pytest.mark.parametrize("deposited", [False, True])
@@ -79,15 +82,15 @@ def test_it_is_the_stages_one_by_one(made, deposited, workspace):
     window, target, region = known(made, middle_us(made))
     motion, pose = target.motion, region.from_px @ target.pose
     one = CONFIG.align
-    cells = deposit(window, motion, region, workspace=workspace).cells
-    image = sharpen(cells, motion, region, [target.lag_px], workspace=workspace)
+    deposited_cells = deposit(window, motion, region, workspace=workspace)
+    image = sharpen(deposited_cells, motion, region, [target.lag_px], workspace=workspace)
     found = align(image, pose[None], SPACE, fine_levels(one), one, workspace=workspace)
     equations = normal_equations(
         image, found.pose[0], found.gain[0], SPACE, one.sigma, CONFIG.modules, workspace=workspace
     )
     if not deposited:  # the cells hold another window then
         deposit(window_of(made, 1.0, middle=middle_us(made)), motion, region, workspace=workspace)
-    measured = measure(window, target, region, CONFIG, workspace=workspace)
+    measured = measure(EventBatch.of([window]), [target], [region], CONFIG, workspace=workspace)
     assert_same(measured, found, equations)
     assert measured.alignment.score[0] > 0.8
 
@@ -98,10 +101,14 @@ def test_whole_windows_run_as_one_captured_graph(made, workspace):
 
     time = middle_us(made)
     window, target, region = known(made, time)
-    first = measure(window, target, region, CONFIG, workspace=workspace)
+    first = measure(EventBatch.of([window]), [target], [region], CONFIG, workspace=workspace)
     events, _ = depositing(EventBatch.of([window]), [target.motion], [region], workspace=workspace)
-    step = Measure(events, True, SPACE, CONFIG, workspace)
-    solution, solve = solving(step, first.equations, workspace)
+    codes, (level,) = Codes.of(workspace), fine_levels(CONFIG.align)
+    number, room = codes.number(SPACE), room_for([SPACE])
+    poses, modules = codes.poses(level, CONFIG.align, [number]), codes.modules(CONFIG.modules, [number])
+    step = Measure(events, True, poses, modules, room, CONFIG, workspace)
+    step.write([target], [region], [number])
+    solution, solve = solving(step, first.equations[0], workspace)
     solve()  # loads what nothing else has used
     with wp.ScopedCapture(device=workspace.device) as capture:
         step.launch()
@@ -110,12 +117,13 @@ def test_whole_windows_run_as_one_captured_graph(made, workspace):
         window, target, region = known(made, moment)
         batch = EventBatch.of([window])
         assert depositing(batch, [target.motion], [region], workspace=workspace)[0] is events
-        step.write(target, region)
-        solution._q.write(solution._start)
+        step.write([target], [region], [number])
+        start = modules.start[number]
+        solution._q.host[0, : len(start), : start.shape[1]] = start
         wp.capture_launch(capture.graph)
         found = step.read()
-        again = measure(window, target, region, CONFIG, workspace=workspace)
-        assert_same(again, found.alignment, found.equations)
-        outcome = decode_grid(solution.read(), SPACE)
+        again = measure(EventBatch.of([window]), [target], [region], CONFIG, workspace=workspace)
+        assert_same(again, found.alignment, found.equations[0])
+        outcome = decode_grid(solution.read([SPACE])[0].q, SPACE)
         assert isinstance(outcome, Decoded)
         assert outcome.text == made.scene.codes[0].text

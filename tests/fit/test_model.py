@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 from rectangles import TALL, WIDE
 
-from evqr.fit.align import _terms
 from evqr.fit.model import lattice, lattices, pose_table, profiles, quiet_modules
+from evqr.fit.tables import terms_of
 from evqr.symbol import micro_qr, qr
 
 SIGMAS = [0.25, 0.36, 0.5, 0.9]
@@ -115,7 +115,7 @@ def test_the_other_columns_say_how_the_slopes_change_when_the_code_moves(space, 
     moves = [(weight, still) for weight in (one, u, v)] + [(still, weight) for weight in (one, u, v)]
     if tilt:
         moves += [tuple((off / max(table.scale) * each[:, None]).T) for each in (u, v)]
-    terms, factors = _terms(tilt)
+    terms, factors = terms_of(tilt)
     assert len(terms) == len(moves) + 2
 
     def along_gain(at):

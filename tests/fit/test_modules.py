@@ -7,11 +7,11 @@ import numpy as np
 import pytest
 from rectangles import TALL, WIDE
 from scenes import scene
-from steps import normal_equations
+from steps import normal_equations, solved
 
 from evqr.config import AlignConfig, ModulesConfig
 from evqr.fit.align import align, fine_levels
-from evqr.fit.modules import NormalEquations, solve_modules
+from evqr.fit.modules import NormalEquations
 from evqr.symbol import micro_qr, qr
 from evqr.workspace import Images
 
@@ -70,7 +70,7 @@ def test_equals_the_dense_solution_for_any_image_pose_and_gain(space, samples, w
     for seed in range(3):
         on_device, image, pose, gain = random_window(space, seed, workspace)
         equations = normal_equations(on_device, pose, gain, space, ONE.sigma, cfg, workspace=workspace)
-        found = solve_modules(equations, cfg, workspace=workspace).q
+        found = solved(equations, cfg, workspace=workspace).q
         matrix, vector = dense.system(image, pose, gain, space, ONE.sigma, samples)
         exact = dense.solve([(matrix, vector, 1.0)], space.known, space.values, cfg.damping_range[0])
         np.testing.assert_allclose(found, exact, atol=TOLERANCE * max(1.0, np.abs(exact).max()))
@@ -100,7 +100,7 @@ def test_the_usual_accuracy_is_enough(workspace, see):
     """Conjugate gradients stop early; what they leave is small against the modules, and turns none over."""
     equations = equations_of(see(scene()), workspace)
     usual = replace(EXACT, tolerance=CONFIG.tolerance)
-    early, exact = (solve_modules(equations, cfg, workspace=workspace) for cfg in (usual, EXACT))
+    early, exact = (solved(equations, cfg, workspace=workspace) for cfg in (usual, EXACT))
     np.testing.assert_array_equal(np.sign(early.q), np.sign(exact.q))
     assert np.abs(early.q - exact.q).mean() < 0.05
     assert 0 < early.iterations < exact.iterations <= 200
@@ -125,7 +125,7 @@ def test_the_usual_accuracy_is_enough(workspace, see):
 def test_modules_are_right_at_the_true_pose(options, wrong, workspace, see):
     """At 0 degrees edges along the motion give no event: those modules follow from their neighbours."""
     seen = see(scene(**options))
-    q = solve_modules(equations_of(seen, workspace), CONFIG, workspace=workspace).q
+    q = solved(equations_of(seen, workspace), CONFIG, workspace=workspace).q
     unknown = ~seen.space.known
     assert np.mean((q * seen.modules < 0.0)[unknown]) <= wrong
     assert 0.5 < np.median(np.abs(q[unknown])) < 1.5
@@ -133,7 +133,7 @@ def test_modules_are_right_at_the_true_pose(options, wrong, workspace, see):
 
 def test_known_modules_keep_their_values(workspace, see):
     seen = see(scene())
-    estimate = solve_modules(equations_of(seen, workspace), CONFIG, workspace=workspace)
+    estimate = solved(equations_of(seen, workspace), CONFIG, workspace=workspace)
     space = qr.space(2)
     np.testing.assert_allclose(estimate.q[space.known], space.values[space.known], atol=1e-6)
     assert estimate.q.shape == (25, 25)
@@ -146,7 +146,7 @@ def test_without_events_the_unknown_modules_are_grey(workspace, see):
     strong = normal_equations(
         empty, seen.in_cells, np.array([1e-6, 0.0]), seen.space, ONE.sigma, CONFIG, workspace=workspace
     )
-    estimate = solve_modules(
+    estimate = solved(
         NormalEquations(seen.space, 0 * strong.stencil, 0 * strong.rhs), CONFIG, workspace=workspace
     )
     np.testing.assert_allclose(estimate.q[~qr.space(2).known], 0.0, atol=1e-4)
@@ -159,25 +159,25 @@ def test_contrast_does_not_matter(workspace, see):
     """Twice the events with twice the gain, and twice the noise, are the same print."""
     seen = see(scene())
     gain = gain_of(seen, workspace)
-    plain = solve_modules(equations_of(seen, workspace, gain=gain), CONFIG, workspace=workspace).q
+    plain = solved(equations_of(seen, workspace, gain=gain), CONFIG, workspace=workspace).q
     for factor in (1e-3, 0.3, 40.0):
         image = Images(workspace.put(np.float32(factor) * workspace.get(seen.image.device)))
         other = equations_of(seen, workspace, image=image, gain=factor * gain).weighted(factor**2)
-        np.testing.assert_allclose(solve_modules(other, CONFIG, workspace=workspace).q, plain, atol=1e-3)
+        np.testing.assert_allclose(solved(other, CONFIG, workspace=workspace).q, plain, atol=1e-3)
 
 
 def test_less_noise_means_less_damping_within_bounds(workspace, see):
     """Weights say how far events are trusted against what is known before; at the ends they do not matter."""
     equations = equations_of(see(scene()), workspace)
     one_pass = replace(CONFIG, passes=1)
-    solved = [
-        solve_modules(equations.weighted(noise), one_pass, workspace=workspace).q
+    each = [
+        solved(equations.weighted(noise), one_pass, workspace=workspace).q
         for noise in (1e-12, 1e-9, 1e9, 1e12)
     ]
-    np.testing.assert_allclose(solved[1], solved[0], atol=1e-3)
-    np.testing.assert_allclose(solved[3], solved[2], atol=1e-3)
+    np.testing.assert_allclose(each[1], each[0], atol=1e-3)
+    np.testing.assert_allclose(each[3], each[2], atol=1e-3)
     unknown = ~qr.space(2).known
-    assert np.abs(solved[0][unknown]).mean() > 1.2 * np.abs(solved[3][unknown]).mean()
+    assert np.abs(each[0][unknown]).mean() > 1.2 * np.abs(each[3][unknown]).mean()
 
 
 # ---- passes
@@ -206,7 +206,7 @@ def test_a_later_pass_finds_the_inside_of_a_long_dark_run(workspace):
     equations, modules = _row_of_runs()
     strong = replace(CONFIG, damping_range=(0.1, 0.1))
     one, all_passes = (
-        solve_modules(equations, cfg, workspace=workspace)
+        solved(equations, cfg, workspace=workspace)
         for cfg in (replace(strong, passes=1), replace(strong, passes=6, unclear=0.0))
     )
     assert (one.q[10] * modules[10] < 0.3).any()
@@ -218,7 +218,7 @@ def test_one_pass_is_enough_where_all_modules_are_clear(workspace, see):
     seen = see(scene(angle=45.0, direction=0.0))
     equations = equations_of(seen, workspace).weighted(1e-9)
     several, one = (
-        solve_modules(equations, cfg, workspace=workspace) for cfg in (CONFIG, replace(CONFIG, passes=1))
+        solved(equations, cfg, workspace=workspace) for cfg in (CONFIG, replace(CONFIG, passes=1))
     )
     assert several.iterations == one.iterations
     np.testing.assert_array_equal(several.q, one.q)
@@ -229,7 +229,7 @@ def test_polarity_and_gain_of_the_other_sign_are_the_same_print(workspace, see):
     gain = gain_of(seen, workspace)
     negative = Images(workspace.put(-workspace.get(seen.image.device)))
     one, two = (
-        solve_modules(equations, CONFIG, workspace=workspace).q
+        solved(equations, CONFIG, workspace=workspace).q
         for equations in (
             equations_of(seen, workspace, gain=gain),
             equations_of(seen, workspace, image=negative, gain=-gain),
@@ -259,9 +259,9 @@ def test_a_later_window_leaves_earlier_equations_alone(workspace, see):
     seen, other = see(scene()), see(scene(preset="fast"))
     first = equations_of(seen, workspace)
     rhs, stencil = first.rhs.copy(), first.stencil.copy()
-    estimate = solve_modules(first, CONFIG, workspace=workspace).q
+    estimate = solved(first, CONFIG, workspace=workspace).q
     kept = estimate.copy()
-    solve_modules(equations_of(other, workspace), CONFIG, workspace=workspace)
+    solved(equations_of(other, workspace), CONFIG, workspace=workspace)
     np.testing.assert_array_equal(first.rhs, rhs)
     np.testing.assert_array_equal(first.stencil, stencil)
     np.testing.assert_array_equal(estimate, kept)

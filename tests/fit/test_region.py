@@ -86,7 +86,7 @@ def test_cells_count_from_the_centre_of_the_first():
 
 def shown(window, motion, region, workspace, *lags_px):
     """Images (N, height, width) of a window, one a pair of lags."""
-    cells = deposit(window, motion, region, workspace=workspace).cells
+    cells = deposit(window, motion, region, workspace=workspace)
     images = sharpen(cells, motion, region, list(lags_px or [(0.0, 0.0)]), workspace=workspace)
     return workspace.get(images.device).copy()
 

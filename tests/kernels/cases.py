@@ -207,8 +207,8 @@ def reduce_image(rng, dtype):
 
 
 def mix_images(rng, dtype, width=X):
-    images, weight = rng.normal(size=(4, Y, width)), rng.normal(size=(3, 4))
-    return call("mix_images", [images.astype(dtype), weight.astype(dtype)])
+    images, weight = rng.normal(size=(2, 4, Y, width)), rng.normal(size=(3, 4))
+    return call("mix_images", [images.astype(dtype), np.array([0, 1, 0], np.int32), weight.astype(dtype)])
 
 
 def correlate_templates(rng, dtype, width=24, n=5):
@@ -288,13 +288,24 @@ def sample_moments_adjoint(rng, dtype):
     return call("sample_moments_adjoint", inputs)
 
 
-def code_rhs(rng, dtype, shape=WIDE, samples=3):
-    across, down = (((np.arange(size * samples) + 0.5) / samples).astype(dtype) for size in shape[::-1])
+def code_rhs(rng, dtype, shape=WIDE, samples=3, smaller=()):
+    """Windows of a code that fills the arrays, and of others that do not: by so many rows and columns."""
+    sides = np.maximum(1, np.subtract(shape, [(0, 0), *smaller])).astype(np.int32)
+    across, down = (
+        np.stack([(np.arange(size * samples) + 0.5) / samples - quiet for quiet in range(len(sides))])
+        for size in shape[::-1]
+    )
     profile, slope = rng.normal(size=(2, 5 * samples)).astype(dtype)
     image = rng.normal(size=(B, Y, X)).astype(dtype)
     gain = rng.normal(size=(B, 2)).astype(dtype)
-    inputs = [image, poses(rng, B, dtype), across, down, profile, slope, gain, samples]
+    idx = np.arange(B, dtype=np.int32) % len(sides)
+    lattices = idx, across.astype(dtype), down.astype(dtype), sides
+    inputs = [image, poses(rng, B, dtype), *lattices, profile, slope, gain, samples]
     return call("code_rhs", inputs)
+
+
+def code_rhs_of_several(rng, dtype):
+    return code_rhs(rng, dtype, (13, 19), smaller=[(2, 4)])
 
 
 def code_rhs_tall(rng, dtype):
@@ -355,6 +366,20 @@ def system(rng, dtype, shape=WIDE):
     free = (rng.random(shape) < 0.7).astype(np.int32)
     rhs, start = rng.normal(size=(2, B, *shape))
     return [rhs.astype(dtype), stencil.astype(dtype), np.full(B, 0.3, dtype), free, start.astype(dtype)]
+
+
+def systems(rng, dtype, shape=WIDE):
+    """Arguments of `solve_code` for two codes: of the second not all rows and columns are free.
+
+    The window in the middle, of the second code, is clear enough already where it has three rows.
+    """
+    rhs, stencil, damping, free, start = system(rng, dtype, shape)
+    rows, columns = shape
+    bounds = [[0, rows, 0, columns], [rows // 5, rows - rows // 4, columns // 6, columns - columns // 7]]
+    idx, enough = np.array([0, 1, 1], np.int32), np.array([0, 3], np.int32)
+    unclear = np.array([[1], [1], [4]], np.int32).repeat(rows, axis=1)
+    about = [idx, np.stack([free, free[::-1]]), np.array(bounds, np.int32), unclear, enough]
+    return [rhs, stencil, damping, *about, start]
 
 
 def render_code(rng, dtype, parameters=6, sigma=0.0):
@@ -449,6 +474,7 @@ CALLS = [
     pose_normal_equations,
     code_rhs,
     code_rhs_tall,
+    code_rhs_of_several,
     code_normal_equations,
     code_normal_equations_tall,
     code_product,

@@ -92,6 +92,44 @@ def test_equals_the_specification(tilt, most, sides, placed, dtype):
     np.testing.assert_allclose(values[:, 3], expected_values[:, 3], rtol=0, atol=EXACT[np.dtype(dtype)])
 
 
+def together(backend, dtype, which, device="cpu", spare=3, **options):
+    """Poses of two codes, ``which`` says of which each is, in one call; only that of the first may tilt."""
+    scenes = [scene(dtype, True, sides) for sides in SIDES[:2]]
+    image, points, table = (np.concatenate(arrays) for arrays in list(zip(*scenes, strict=True))[:3])
+    first = len(scenes[0][1])
+    # points that are nobody's, between the tables and behind them
+    points = np.insert(points, [first] * spare + [len(points)] * spare, 1.0, axis=0)
+    table = np.insert(table, [first] * spare + [len(table)] * spare, np.nan, axis=0)
+    centres = [centre_of(sides) for sides in SIDES[:2]]
+    which = np.array(which, np.int32)
+    return evqr_kernels.align_poses(
+        image, which, starts(dtype)[np.arange(len(which)) % 3], points, table, *scenes[0][3:],
+        centre=centres, scale=centres, table_idx=which,
+        table_ptr=np.array([[0, first], [first + spare, len(points) - spare]], np.int32),
+        parameters=np.array([8, 6], np.int32), backend=backend, device=device, **options,
+    )  # fmt: skip
+
+
+def test_codes_side_by_side_equal_the_specification(placed, dtype):
+    options = {"max_iterations": 2, "tolerance": 0.0}
+    poses, values = together(placed.backend.name, dtype, [0, 1, 1, 0, 1], placed.device, **options)
+    expected, expected_values = together("numpy", dtype, [0, 1, 1, 0, 1], **options)
+    assert_close(poses, expected, EXACT[np.dtype(dtype)])
+    assert_close(values[:, :3], expected_values[:, :3], EXACT[np.dtype(dtype)])
+
+
+def test_codes_side_by_side_are_those_alone(placed, dtype):
+    """To the bit; a table with six free parameters is as if terms for no more had been given."""
+    options = {"max_iterations": 3, "tolerance": 0.0}
+    poses, values = together(placed.backend.name, dtype, [0, 1, 1], placed.device, **options)
+    for k, sides in enumerate((SIDES[0], SIDES[1], SIDES[1])):
+        alone, of_alone = align(
+            placed.backend.name, dtype, k == 0, placed.device, starts(dtype)[k : k + 1], sides, **options
+        )
+        np.testing.assert_array_equal(poses[k], alone[0])
+        np.testing.assert_array_equal(values[k], of_alone[0])
+
+
 @pytest.mark.parametrize("sides", SIDES, ids=str)
 def test_finds_the_pose_and_the_gain(sides, placed, dtype):
     """Bilinear sampling blurs the image a little: the pose is good to a hundredth of a module."""

@@ -201,12 +201,14 @@ sides = st.integers(1, 11)
 def test_a_code_on_its_side_has_its_equations_on_their_side(rows, columns, seed):
     """u and v, x and y change places in all that goes in, and so they do in what comes out."""
     inputs = cases.code_rhs(np.random.default_rng(seed), np.float64, (rows, columns)).inputs
-    image, pose, across, down, profile, slope, gain, samples = inputs
+    image, pose, _, across, down, _, profile, slope, gain, samples = inputs
     swap = [1, 0, 2]
     turned_pose = pose.reshape(-1, 3, 3)[:, swap][:, :, swap].reshape(-1, 9)
     turned = [np.ascontiguousarray(image.transpose(0, 2, 1)), np.ascontiguousarray(turned_pose), down, across]
     turned += [profile, slope, np.ascontiguousarray(gain[:, ::-1])]
-    stencil, rhs = evqr_kernels.code_normal_equations(*inputs[:7], samples_a_module=samples)
+    stencil, rhs = evqr_kernels.code_normal_equations(
+        image, pose, across, down, profile, slope, gain, samples_a_module=samples
+    )
     other_stencil, other_rhs = evqr_kernels.code_normal_equations(*turned, samples_a_module=samples)
     assert_close(other_stencil, stencil.transpose(0, 2, 1))
     assert_close(other_rhs, rhs.transpose(0, 2, 1), 1e-11)

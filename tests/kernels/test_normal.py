@@ -79,7 +79,7 @@ def test_code_stencil_is_the_matrix_far_from_the_border(shape, placed, rng):
     expected_rhs = cases.code_rhs(rng, np.float64, shape)
     expected_rhs.inputs = call.inputs
     np.testing.assert_array_equal(rhs, expected_rhs.run(placed)[0])
-    profile, slope, gain = call.inputs[4:7]
+    profile, slope, gain = call.inputs[6:9]
     row, column = shape[0] // 2, shape[1] // 2
     for b in range(cases.B):
         a = code_model(profile, slope, gain[b], shape, samples)

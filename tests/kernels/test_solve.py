@@ -15,14 +15,15 @@ EXACT = {np.dtype(np.float32): 2e-4, np.dtype(np.float64): 1e-9}
 
 def solve(runner, system, *, max_iterations=200, tolerance=0.0, op="solve_code"):
     """Copy, solve, and give q and the number of iterations."""
-    rhs, stencil, damping, free, start = system
+    *inputs, start = system if len(system) == 9 else of_one_code(system)
+    rhs = inputs[0]
     backend, device, dtype = runner.backend, runner.device, rhs.dtype
     q = backend.from_host(start.copy(), device)
     iterations = backend.from_host(np.full(len(rhs), -1, np.int32), device)
-    scratch = [filled(rhs.shape, dtype) for _ in range(4)]
+    scratch = [filled((len(rhs), 5, *rhs.shape[1:]), dtype)]
     scratch += [filled((len(rhs), 4, rhs.shape[1]), dtype) for _ in range(2)]
     getattr(backend, op)(
-        *(backend.from_host(array.copy(), device) for array in (rhs, stencil, damping, free)),
+        *(backend.from_host(array.copy(), device) for array in inputs),
         max_iterations,
         tolerance,
         *(backend.from_host(array, device) for array in scratch),
@@ -31,6 +32,15 @@ def solve(runner, system, *, max_iterations=200, tolerance=0.0, op="solve_code")
     )
     backend.synchronize(device)
     return np.array(backend.to_host(q)), np.array(backend.to_host(iterations))
+
+
+def of_one_code(system):
+    """Arguments as the launchers take them: all modules are looked at, and all of them are unclear."""
+    rhs, stencil, damping, free, start = system
+    batch, rows, columns = rhs.shape
+    bounds = np.array([[0, rows, 0, columns]], np.int32)
+    about = [np.zeros(batch, np.int32), free[None], bounds, np.ones((batch, rows), np.int32)]
+    return [rhs, stencil, damping, *about, np.zeros(1, np.int32), start]
 
 
 def of_window(system, b):
@@ -59,6 +69,51 @@ def test_equals_the_specification(shape, placed, spec, dtype, rng):
     expected, expected_iterations = solve(spec, system, max_iterations=5, tolerance=1e-6)
     assert_close(q, expected, EXACT[np.dtype(dtype)])
     np.testing.assert_array_equal(iterations, expected_iterations)
+
+
+@pytest.mark.parametrize("shape", [(5, 5), (19, 19), (9, 27), (27, 9), (31, 40)], ids=str)
+def test_codes_side_by_side_equal_the_specification(shape, placed, spec, dtype, rng):
+    system = cases.systems(rng, dtype, shape)
+    q, iterations = solve(placed, system, max_iterations=5, tolerance=1e-6)
+    expected, expected_iterations = solve(spec, system, max_iterations=5, tolerance=1e-6)
+    assert_close(q, expected, EXACT[np.dtype(dtype)])
+    np.testing.assert_array_equal(iterations, expected_iterations)
+
+
+@pytest.mark.parametrize("shape", [(19, 19), (31, 40)], ids=str)
+def test_a_smaller_code_is_that_of_its_free_modules(shape, placed, dtype, rng):
+    """Solved between its bounds, with what lies around it as it was; a window that is clear is left alone."""
+    system = cases.systems(rng, dtype, shape)
+    rhs, stencil, damping, _, free, bounds, unclear, _, start = system
+    unclear[1, :2] = 4
+    unclear[2] = 0
+    q, iterations = solve(placed, system)
+    top, bottom, left, right = bounds[1]
+    inside = np.zeros(shape, np.int32)
+    inside[top:bottom, left:right] = free[1, top:bottom, left:right]
+    expected = code_solution(*of_window((rhs, stencil, damping, inside, start), 1))
+    np.testing.assert_allclose(q[1], expected, rtol=0, atol=EXACT[np.dtype(dtype)] * np.abs(expected).max())
+    np.testing.assert_array_equal(q[2], start[2])
+    assert iterations[2] == 0 < iterations[1]
+
+
+@pytest.mark.parametrize("name", ["warp", "numpy"])
+def test_room_around_a_code_does_not_change_a_bit(name, rng):
+    """Windows of small codes share arrays with those of large ones: room to the right of them and below."""
+    backend = pytest.importorskip(f"evqr_kernels.{name}_backend").load()
+    runner = type("Runner", (), {"backend": backend, "device": "cpu"})
+    system = of_one_code(cases.system(rng, np.float32, (25, 40)))
+    system[5][:] = 3, 22, 4, 29
+    found = solve(runner, system, max_iterations=9, tolerance=1e-3)
+
+    def wider(array):
+        room = [(0, 0), (0, 9), (0, 24)] if array.ndim == 3 and array.shape[-1] == 40 else []
+        return np.pad(array, room) if room else array
+
+    system = [wider(array) for array in system]
+    system[6] = np.pad(system[6], [(0, 0), (0, 9)])
+    for one, other in zip(found, solve(runner, system, max_iterations=9, tolerance=1e-3), strict=True):
+        np.testing.assert_array_equal(one, other[:, :25, :40] if one.ndim == 3 else other)
 
 
 def test_stops_at_the_tolerance(placed, spec, dtype, rng):
@@ -92,7 +147,8 @@ def test_nothing_to_do(what, placed, dtype, rng):
 
 @pytest.mark.parametrize("shape", [(12, 12), (5, 14), (14, 5)], ids=str)
 @pytest.mark.parametrize("tolerance", [0.0, 1e-2])
-def test_variant_for_gpus_equals_the_specification(tolerance, shape, placed, spec, dtype, rng):
+@pytest.mark.parametrize("make", [cases.system, cases.systems])
+def test_variant_for_gpus_equals_the_specification(make, tolerance, shape, placed, spec, dtype, rng):
     """The variant of one thread a row, which a CPU does not take by itself."""
     variants = importlib.import_module(f"evqr_kernels.{placed.backend.name}_backend.solve")
 
@@ -104,12 +160,12 @@ def test_variant_for_gpus_equals_the_specification(tolerance, shape, placed, spe
         )
 
         @staticmethod
-        def solve_code(rhs, stencil, damping, free, max_iterations, tolerance, *outputs):
-            *scratch, q, iterations = outputs
-            arguments = (rhs, stencil, damping, free, scratch, q, iterations)
-            variants.solve_rows(*arguments, max_iterations, tolerance)
+        def solve_code(*arguments):
+            *inputs, max_iterations, tolerance = arguments[:10]
+            *scratch, q, iterations = arguments[10:]
+            variants.solve_rows(*inputs, scratch, q, iterations, max_iterations, tolerance)
 
-    system = cases.system(rng, dtype, shape)
+    system = make(rng, dtype, shape)
     rows = type("RowsRunner", (), {"backend": Rows, "device": placed.device})
     limit = 5 if tolerance == 0.0 else 100
     q, iterations = solve(rows, system, max_iterations=limit, tolerance=tolerance)
