@@ -20,8 +20,8 @@ All hang under `ReadConfig`, which `read_codes`, `read_windows`, `read_many` and
 ```python
 import evqr
 
-config = evqr.ReadConfig(window_us=500, finder=evqr.FinderConfig(peaks=32))
-config = evqr.ReadConfig.from_dict({"window_us": 500, "finder": {"peaks": 32}})  # the same
+config = evqr.ReadConfig(window_us=500, align=evqr.AlignConfig(min_score=0.6))
+config = evqr.ReadConfig.from_dict({"window_us": 500, "align": {"min_score": 0.6}})  # the same
 ```
 
 They are frozen, and a value out of range or of the wrong type is refused with a message that says what is
@@ -67,7 +67,7 @@ def _section(settings: type[Settings]) -> str:
     told = _descriptions(rest[0])
     lines = [f"## {settings.__name__}", "", " ".join(summary.split()), ""]
     lines += ["| setting | default | allowed | what |", "|---|---|---|---|"]
-    allowed = kinds(settings)
+    allowed, below = kinds(settings), []
     for field, default in zip(fields(settings), settings().to_dict().values(), strict=True):
         kind, text = told[field.name]
         unit = re.search(r"\[[^\]]+\]", kind)
@@ -75,7 +75,21 @@ def _section(settings: type[Settings]) -> str:
         lines.append(
             f"| {name} | {_default(default, allowed[field.name])} | {_kind(allowed[field.name])} | {text} |"
         )
-    return "\n".join([*lines, ""])
+        if _is_several_settings(default):
+            below += _several(field.name, default)
+    return "\n".join([*lines, *below, ""])
+
+
+def _is_several_settings(value: Any) -> bool:
+    return isinstance(value, list) and all(isinstance(each, dict) for each in value)
+
+
+def _several(name: str, values: list[dict[str, Any]]) -> list[str]:
+    """Write what several settings of one kind are by default, a column each."""
+    lines = ["", f"`{name}` by default, in their order:", ""]
+    lines += [f"| setting |{'|'.join(f' {number + 1} ' for number in range(len(values)))}|"]
+    lines += ["|---" * (len(values) + 1) + "|"]
+    return lines + [f"| `{key}` | {' | '.join(f'`{each[key]!r}`' for each in values)} |" for key in values[0]]
 
 
 def _descriptions(text: str) -> dict[str, tuple[str, str]]:
@@ -85,14 +99,14 @@ def _descriptions(text: str) -> dict[str, tuple[str, str]]:
         head, _, body = block.partition("\n")
         names, _, kind = head.partition(" : ")
         for name in names.split(", "):
-            found[name] = kind, " ".join(body.split()).replace("``", "`")
+            found[name] = kind, " ".join(body.split()).replace("``", "`").replace("|", "\\|")
     return found
 
 
 def _default(value: Any, kind: Any) -> str:
     if isinstance(kind, type) and issubclass(kind, Settings):
         return f"[`{kind.__name__}()`](#{kind.__name__.lower()})"
-    return f"`{value!r}`"
+    return f"{len(value)}, told below" if _is_several_settings(value) else f"`{value!r}`"
 
 
 def _kind(kind: Any) -> str:

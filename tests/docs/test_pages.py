@@ -195,3 +195,10 @@ def test_warnings_of_a_build_are_seen():
 def test_what_is_fetched_from_elsewhere_is_seen(text):
     assert SITE.remote(text)
     assert not SITE.remote('<a href="https://example.org">x</a><script src="assets/a.js"></script>')
+
+
+@pytest.mark.parametrize("page", PAGES, ids=lambda page: str(page.relative_to(ROOT)))
+def test_rows_of_a_table_have_as_many_cells_as_its_head(page):
+    for table in re.findall(r"(?:^\|.*\n)+", page.read_text(encoding="utf-8"), re.MULTILINE):
+        counts = [len(re.findall(r"(?<!\\)\|", line)) for line in table.splitlines()]
+        assert len(set(counts)) == 1, f"{page.name}: {table.splitlines()[counts.index(max(counts))]}"
