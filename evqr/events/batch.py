@@ -65,6 +65,9 @@ class EventBatch:
                 bounds = f"{window.start_us} us to {window.end_us} us"
                 raise ValueError(f"a window must last at most {LONGEST_US} us, got {bounds}")
         t_ref_us = np.array([window.middle_us % (1 << 31) for window in windows], np.int32)
+        if len(windows) == 1:  # most often, and then this is a share of a followed window's time
+            events = windows[0].packed
+            return cls(tuple(windows), events, np.array([(0, len(events))], np.int32), t_ref_us)
         window_ptr = np.zeros((len(windows), 2), np.int32)
         stretches, begin = _stretches(windows), 0
         for stretch in stretches:

@@ -62,5 +62,5 @@ def write_stamps(events: EventArray, out: NDArray[np.uint32]) -> None:
         Overwritten: twice the time [us], modulo 2^32, plus 1 where it became brighter.
     """
     np.copyto(out, events.t, casting="unsafe")  # modulo 2^32
-    np.left_shift(out, 1, out=out)
-    np.bitwise_or(out, events.p > 0, out=out)
+    np.add(out, out, out=out)
+    np.add(out, events.p > 0, out=out)
