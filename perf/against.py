@@ -20,7 +20,7 @@ import shutil
 import subprocess
 import sys
 import tempfile
-from collections.abc import Iterable, Iterator, Mapping, Sequence
+from collections.abc import Collection, Iterable, Iterator, Mapping, Sequence
 from dataclasses import astuple, dataclass
 from importlib.metadata import distributions
 from pathlib import Path
@@ -201,16 +201,21 @@ def store(recordings: Iterable[Recording], folder: Path) -> None:
 
 
 def run_trials(
-    workers: Mapping[str, Reads], windows: Sequence[Window], rounds: int, seed: int = 0
+    workers: Mapping[str, Reads],
+    windows: Sequence[Window],
+    rounds: int,
+    seed: int = 0,
+    alone: Collection[Window] = (),
 ) -> Iterator[Trial]:
     """Let all read every window once a round, one right after the other, in another order each time.
 
-    The first round is not reported: buffers are made in it.
+    The first round is not reported: buffers are made in it.  Windows ``alone`` are read by this tree only.
     """
     rng = random.Random(seed)
     for round_ in range(rounds + 1):
         for window in rng.sample(windows, len(windows)):
-            answers = {name: workers[name].ask(window) for name in rng.sample(list(workers), len(workers))}
+            asked = THIS if window in alone else tuple(workers)
+            answers = {name: workers[name].ask(window) for name in rng.sample(asked, len(asked))}
             if round_ > 0:
                 yield Trial(
                     window,
@@ -233,10 +238,14 @@ def rows_of(
         that are right, by case; where there are none, nothing is to be read
     windows
         that the other commit can read; one that this tree cannot has no trial, and counts as not read
+    trials
+        of these windows, and of those without a code that the other commit leaves out: where nothing moves
     """
     of_window: dict[Window, list[Trial]] = {window: [] for window in windows}
-    for trial in trials:
-        of_window[trial.window].append(trial)
+    every = list(trials)
+    for trial in every:
+        if trial.window in of_window:
+            of_window[trial.window].append(trial)
     ratios, times, same = [], [], []
     for case in (*texts, "all"):
         for kind in (*METHODS, NOTHING):
@@ -262,7 +271,6 @@ def rows_of(
             if case == "all" or not all(good):
                 same.append(row("same text", case, kind, "share", [float(np.mean(good))], required=1.0))
                 same[-1]["n"] = len(good)
-    every = [trial for group in of_window.values() for trial in group]
     return [*ratios, *rows_without_code(name, texts, every), *rows_of_views(every), *times, *same]
 
 
@@ -337,8 +345,9 @@ def time_against(
                 ready = {reader: worker.ready() for reader, worker in workers.items()}
                 (here, versions), (there, their_versions) = ready[THIS[0]], ready[OTHER[0]]
                 timed = sorted((window for window in there if kind_of(window, texts)), key=astuple)
-                both = [window for window in timed if window in here]
-                trials += run_trials(workers, both, rounds, seed=start)
+                alone = {window for window in here - there if kind_of(window, texts) == NOTHING}
+                read = sorted({window for window in timed if window in here} | alone, key=astuple)
+                trials += run_trials(workers, read, rounds, start, alone)
     differ = differing(their_versions, versions)
     about = {
         "against": f"{ref}, {name}, in an environment of its own",

@@ -54,7 +54,7 @@ class Job:
 
     Attributes
     ----------
-    window_us   length of the window, as the solver chooses it
+    window_us   length of the window, as the solver chooses it; 0 where nothing moves
     before      the code as seen one window earlier, for "tracked"; None where it was not found
     start       first guess of motion, pose and version, for "descent"; None where the search found none
     """
@@ -86,6 +86,8 @@ def prepare(recording: Recording, solver: Solver) -> list[Job]:
     for start_us in recording.starts_us:
         moving = buffer.answer(solver.motion_at(start_us))
         if isinstance(moving, NotFound):
+            if not recording.texts:  # what it costs to see that nothing moves
+                jobs.append(Job(recording, buffer, start_us, 0, None, None))
             continue
         motion = moving.motion
         length = solver.window_us(motion)

@@ -126,6 +126,15 @@ def test_all_read_a_window_one_right_after_the_other_and_the_first_round_does_no
     assert min(trials[0].ms.values()) == 21.0 and trials[0].text == dict(zip("abcd", "abcd", strict=True))
 
 
+def test_what_the_other_commit_leaves_out_is_read_by_this_tree_alone():
+    calls = []
+    readers = {name: Reader(name, calls) for name in (*against.THIS, *against.OTHER)}
+    both, mine = Window("case", 1, "cold"), Window("noise", 1, "cold")
+    trials = list(against.run_trials(readers, [both, mine], 1, alone={mine}))
+    assert {trial.window: set(trial.ms) for trial in trials} == {both: set(readers), mine: set(against.THIS)}
+    assert {name for name, window in calls if window == mine} == set(against.THIS)
+
+
 TEXTS = {"code": frozenset({"RIGHT"}), "boxes": frozenset()}
 COLD, BOXES = Window("code", 1, "cold"), Window("boxes", 1, "cold")
 
@@ -227,6 +236,9 @@ def test_windows_without_a_code_are_compared_with_the_other_commits_code_in_thei
     assert (made["boxes"]["n"], made["boxes"]["required"]) == (8, 0.5)
     assert made["noise"]["median"] == 3.0 and made["noise"]["required"] == 2.0
     assert against.rows_without_code("ref", texts, [t for t in trials if t.window != cold]) == []
+    rows = against.rows_of("ref", texts, [cold], trials)  # where the other commit leaves out what shows none
+    assert {r["case"] for r in rows if r["stage"] == "ref with a code / this"} == {"boxes", "noise"}
+    assert all(r["case"] == "code" or r["case"] == "all" or r["method"] == NOTHING for r in rows)
 
 
 def test_views_are_compared_window_by_window():
