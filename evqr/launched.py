@@ -4,12 +4,13 @@ from __future__ import annotations
 
 from evqr.fit.image import blur_taps
 from evqr.fit.model import MOMENTS
+from evqr.workspace import FEWEST_EVENTS
 
 LAUNCHED = (
-    ("bin_packed_events", {}),
+    ("bin_packed_events", {"E": FEWEST_EVENTS}),
     ("motion_correlation", {}),
     ("surface_peak", {}),
-    ("deposit_packed_events", {}),
+    ("deposit_packed_events", {"E": FEWEST_EVENTS}),
     ("lag_operator", {"K": blur_taps(1.0).shape[1]}),
     ("clip_outliers", {}),
     ("reduce_image", {}),
