@@ -57,12 +57,11 @@ def moving_code(
     rng = np.random.default_rng(seed)
     texture, _ = _texture(CodePlacement(text=text, version=version, ec=ec), blur_modules)
     y, x = np.mgrid[:height, :width].reshape(2, -1).astype(np.float64)
-    pixels = np.stack([x, y, np.ones(len(x))])
     up, down = np.abs(rng.normal(threshold, 0.03 * threshold, (2, len(x))))
     rows, columns = texture.shape
 
     def light(t_us):
-        u, v, w = np.linalg.inv(pose(t_us)) @ pixels
+        u, v, w = (a * x + b * y + c for a, b, c in np.linalg.inv(pose(t_us)))
         u = np.clip((u / w + QUIET + 2) * FINE - 0.5, 0.0, columns - 1.001)
         v = np.clip((v / w + QUIET + 2) * FINE - 0.5, 0.0, rows - 1.001)
         i, j = u.astype(int), v.astype(int)
@@ -100,6 +99,4 @@ def moving_code(
     t, at, p = (np.concatenate(column) for column in zip(*found, strict=True))
     order = np.argsort(t, kind="stable")
     t, at, p = t[order].astype(np.int64) + start_us, at[order], p[order].astype(np.int8)
-    return EventArray(
-        t, (at % width).astype(np.uint16), (at // width).astype(np.uint16), p, width, height
-    )
+    return EventArray(t, (at % width).astype(np.uint16), (at // width).astype(np.uint16), p, width, height)

@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
+import functools
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Annotated
 
 from evqr.config.settings import CharacterSet, Count, Range, Settings, Share
@@ -46,3 +47,23 @@ class DecodeConfig(Settings):
     def log_chance_limit(self) -> float:
         """Natural logarithm of the largest expected number of chance contents of a reading."""
         return math.log((1.0 / self.min_confidence - 1.0) / self.wrong_grids)
+
+    def among(self, grids: int) -> DecodeConfig:
+        """Give the settings for one of several grids that are tried in place of one.
+
+        Parameters
+        ----------
+        grids : int
+            How many are.
+
+        Returns
+        -------
+        config : DecodeConfig
+            That asks of each for so many times less chance, so that all together may have that of one.
+        """
+        return _among(self, grids)
+
+
+@functools.lru_cache(maxsize=64)
+def _among(config: DecodeConfig, grids: int) -> DecodeConfig:
+    return replace(config, wrong_grids=grids * config.wrong_grids) if grids > 1 else config

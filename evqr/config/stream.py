@@ -65,7 +65,13 @@ class TrackConfig(Settings):
         Over which the velocity is measured. Chosen: long enough for precision, short enough for a speed that
         changes.
     full_effort_every : int [windows]
-        Between two attempts at decoding with many erasures; the others are quick. Chosen.
+        Between two attempts at decoding their sum with many erasures; the others are quick. Chosen.
+    found_again : tuple of int [windows]
+        Windows without a reading after which a code is searched for again where it is. Chosen: it may have
+        been taken for one of another size, or turned by a right angle.
+    good_found_again : tuple of int [windows]
+        The same for a code that agrees well with its known modules. Chosen: each is another chance that its
+        pose is right.
     patience : int [windows]
         Without a reading, after which a code that agrees badly with its known modules is given up. Chosen.
     single_patience : int [windows]
@@ -77,6 +83,8 @@ class TrackConfig(Settings):
 
     baseline: Annotated[int, Range(least=2)] = 8
     full_effort_every: Count = 4
+    found_again: tuple[Count, ...] = (2, 6)
+    good_found_again: tuple[Count, ...] = (2, 3, 4, 5, 6, 8, 10, 12, 16, 24, 32)
     patience: Count = 16
     single_patience: Count = 4
     max_misses: Count = 2

@@ -1,13 +1,96 @@
-"""Windows of one code, combined into one estimate of its modules."""
+"""Windows of one code, combined into one estimate of its modules.
+
+Windows are added up, each with the weight that its noise deserves.  That is best where all of them are right.
+A window whose pose is wrong spoils the sum, though, and where a code turns or tilts many are: so windows that
+agree are summed apart as well, and a window speaks for itself.  Which of these sums is right cannot be told
+before one decodes; `Fusion.others` gives those that are worth trying.
+"""
 
 from __future__ import annotations
+
+from collections.abc import Iterator
 
 import numpy as np
 from numpy.typing import NDArray
 
 from evqr.config import ModulesConfig, Vote
-from evqr.fit.modules import CodeEstimate, NormalEquations, solve_modules
+from evqr.fit.model import quiet_modules
+from evqr.fit.modules import REACH, CodeEstimate, NormalEquations, solve_modules
 from evqr.workspace import Workspace
+
+MOST_GROUPS = 4
+"""Groups of windows that agree at most; of more, the one that waits longest for another window goes."""
+
+NOISE_EXPLAINS = 3.0
+"""Misfit that noise explains: 1 were its variance known and the other windows without noise."""
+
+MODULES_DIFFER = 0.2
+"""Mean square difference of modules that counts as agreement; 4 is that of dark and light.  Measured: 0.01 to
+0.11 between windows that are read, 0.3 to 0.5 where the pose of one is off by a module in one corner."""
+
+
+def misfit(weighted: NormalEquations, q: NDArray[np.float32]) -> float:
+    """Give how badly modules explain a window.
+
+    Parameters
+    ----------
+    weighted : NormalEquations
+        Of the window, in units of their noise.
+    q : (V, U) float32
+        The modules.
+
+    Returns
+    -------
+    misfit : float
+        Mean square of what is left of the equations of a module that is not known before, in units of their
+        noise: 1 where the modules are right and nothing but noise is left.
+    """
+    quiet = quiet_modules(weighted.space)
+    rows, columns = weighted.rhs.shape
+    from_light = np.pad(q.astype(np.float64) - 1.0, quiet + REACH)  # the quiet zone is light
+    left = weighted.rhs.copy()
+    for i, row in enumerate(weighted.stencil.tolist()):
+        for j, factor in enumerate(row):
+            left += factor * from_light[i : i + rows, j : j + columns]
+    inside = left[quiet : rows - quiet, quiet : columns - quiet][~weighted.space.known]
+    return float(np.square(inside).mean()) / max(float(weighted.stencil[REACH, REACH]), 1e-12)
+
+
+class _Sum:
+    """What some windows say together."""
+
+    def __init__(self, vote: Vote, cfg: ModulesConfig, workspace: Workspace) -> None:
+        self._vote = vote
+        self._cfg = cfg
+        self._workspace = workspace
+        self._equations: NormalEquations | None = None
+        self._votes: NDArray[np.float64] | None = None
+        self._weight = 0.0
+        self.windows = 0
+        self.estimate: CodeEstimate | None = None
+
+    def add(self, weighted: NormalEquations, alone: CodeEstimate | None = None) -> CodeEstimate:
+        """Add a window, and what it says alone where that is known, and return the estimate of all so far."""
+        self.windows += 1
+        self.estimate = self._with(weighted, alone)
+        return self.estimate
+
+    def _with(self, weighted: NormalEquations, alone: CodeEstimate | None) -> CodeEstimate:
+        if self._vote is Vote.INFORMATION:
+            self._equations = weighted if self._equations is None else self._equations + weighted
+            if alone is not None and self.windows == 1:
+                return alone
+            return solve_modules([self._equations], self._cfg, workspace=self._workspace)[0]
+        alone = alone or solve_modules([weighted], self._cfg, workspace=self._workspace)[0]
+        if self._vote is Vote.MODE:
+            ballot, weight = np.sign(alone.q).astype(np.float64), 1.0
+        else:
+            weight = max(float(np.trace(weighted.stencil)), 1e-12)
+            ballot = weight * alone.q.astype(np.float64)
+        votes = ballot if self._votes is None else self._votes + ballot
+        self._votes = votes
+        self._weight += weight
+        return CodeEstimate((votes / self._weight).astype(np.float32), alone.iterations)
 
 
 class Fusion:
@@ -17,9 +100,17 @@ class Fusion:
         self._vote = vote
         self._cfg = cfg
         self._workspace = workspace
-        self._sum: NormalEquations | None = None
-        self._votes: NDArray[np.float64] | None = None
-        self.windows = 0
+        self._all = self._sum()
+        self._groups: list[_Sum] = []
+        self._waiting: list[NormalEquations] = []
+
+    def _sum(self) -> _Sum:
+        return _Sum(self._vote, self._cfg, self._workspace)
+
+    @property
+    def windows(self) -> int:
+        """Windows that were added."""
+        return self._all.windows
 
     def add(self, equations: NormalEquations, noise: float) -> CodeEstimate:
         """Add a window and return the estimate of all so far.
@@ -36,17 +127,49 @@ class Fusion:
         estimate : CodeEstimate
             Its strength says where it is sure.
         """
-        self.windows += 1
         weighted = equations.weighted(noise)
-        if self._vote is Vote.INFORMATION:
-            self._sum = weighted if self._sum is None else self._sum + weighted
-            return solve_modules([self._sum], self._cfg, workspace=self._workspace)[0]
-        (alone,) = solve_modules([weighted], self._cfg, workspace=self._workspace)
-        if self._vote is Vote.MODE:
-            ballot = np.sign(alone.q).astype(np.float64)
+        self._waiting.append(weighted)
+        return self._all.add(weighted)
+
+    def others(self) -> Iterator[tuple[CodeEstimate, int]]:
+        """Give what else may be right of the newest window, where the sum of all is not.
+
+        Windows are put into groups when this is first asked for: a code that decodes at once costs nothing.
+
+        Yields
+        ------
+        estimate : CodeEstimate
+            Of the windows that agree with the newest, where they are some and not all, then of the newest
+            alone, unless it is the only one.
+        windows : int
+            How many windows it is of.
+        """
+        group, alone = None, None
+        for weighted in self._waiting:
+            (alone,) = solve_modules([weighted], self._cfg, workspace=self._workspace)
+            group = self._joined(weighted, alone)
+        self._waiting.clear()
+        if group is None or alone is None or self.windows == 1:
+            return
+        if 1 < group.windows < self.windows and group.estimate is not None:
+            yield group.estimate, group.windows
+        yield alone, 1
+
+    def _joined(self, weighted: NormalEquations, alone: CodeEstimate) -> _Sum:
+        """Add a window to the group that it agrees with best, or let it begin one."""
+        best, least = None, np.inf
+        for group in self._groups:
+            assert group.estimate is not None
+            off = misfit(weighted, group.estimate.q)
+            if off < least:
+                best, least = group, off
+        if best is None or least > max(
+            NOISE_EXPLAINS, MODULES_DIFFER * float(weighted.stencil[REACH, REACH])
+        ):
+            best = self._sum()
+            del self._groups[: max(0, len(self._groups) - MOST_GROUPS + 1)]
         else:
-            ballot = alone.q.astype(np.float64) * float(np.trace(weighted.stencil))
-        votes = ballot if self._votes is None else self._votes + ballot
-        self._votes = votes
-        strongest = float(np.abs(votes).max()) or 1.0
-        return CodeEstimate((votes / strongest).astype(np.float32), alone.iterations)
+            self._groups.remove(best)
+        self._groups.append(best)
+        best.add(weighted, alone)
+        return best

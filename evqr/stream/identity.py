@@ -113,10 +113,10 @@ def distance_as_one(earlier: Target, later: Target, turning: float, cfg: Schedul
         earlier, later = later, earlier
     seconds = (later.time_us - earlier.time_us) * 1e-6
     (angle, log_module), (later_angle, later_log_module) = similarity_of(earlier), similarity_of(later)
-    turned = math.remainder(later_angle - angle - turning * seconds, math.tau)
+    turned = math.remainder(later_angle - angle - 0.5 * turning * seconds, math.tau)
     if (
         earlier.space != later.space
-        or abs(turned) > LEAST_TURN + seconds * (math.radians(cfg.turn_rate) + 0.5 * abs(turning))
+        or abs(turned) > LEAST_TURN + seconds * (math.radians(cfg.turn_rate) + abs(turning))
         or abs(later_log_module - log_module) > LEAST_GROWTH + seconds * cfg.growth_rate
     ):
         return math.inf

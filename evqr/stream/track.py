@@ -5,17 +5,34 @@ from __future__ import annotations
 from collections import deque
 from collections.abc import Mapping
 
+import numpy as np
+
 from evqr.clock import StageClock
 from evqr.events.batch import EventBatch
 from evqr.events.window import Window
 from evqr.fit.detection import Detection, NotFound
 from evqr.fit.fusion import Fusion
 from evqr.fit.modules import CodeEstimate
+from evqr.geometry import module_px
 from evqr.motion import Motion
 from evqr.results import CodeReading
 from evqr.solver import Solver
 from evqr.symbol.decode import decode_grid
 from evqr.symbol.decoded import Decoded, DecodeFailure
+
+GRIDS = 4
+"""Grids that a window may be decoded from once there are several: the sum of all, that of those that agree,
+its own, and that of the code found again."""
+
+SAME_CENTRE = 0.25
+"""How far from its centre a code that is followed may be found again, in its sizes."""
+
+SCORES_ALIKE = 0.02
+"""A code that was found again is taken though it agrees less well by so much: its pose may be right all the
+same."""
+
+BETTER = 0.05
+"""A code that was found again and agrees better by so much was not right before: its windows do not count."""
 
 
 class Track:
@@ -57,11 +74,16 @@ class Track:
         self._solver = solver
         self._cfg = cfg.track
         self._misses = 0
-        self._fusion = Fusion(cfg.vote, cfg.modules, workspace=solver.workspace)
+        self._fusion = self._new_fusion()
+        self._tries = 1
         self._path = deque([(detection.time_us, detection.centre)], maxlen=cfg.track.baseline)
         self._clock = StageClock()
         self._clock.add(detection.timings_ms)
         self._decode()
+
+    def _new_fusion(self) -> Fusion:
+        cfg = self._solver.config
+        return Fusion(cfg.vote, cfg.modules, workspace=self._solver.workspace)
 
     @property
     def windows(self) -> int:
@@ -78,7 +100,7 @@ class Track:
         """Whether the code is out of sight, or was none."""
         single = self.detection.space.single_pattern
         patience = self._cfg.single_patience if single else self._cfg.patience
-        if self.reading is None and self.windows >= patience:
+        if self.reading is None and self._tries >= patience:
             if self.detection.score < self._solver.config.align.good_score:
                 return True
         return self._misses >= self._cfg.max_misses
@@ -112,25 +134,78 @@ class Track:
         self.detection = found.moving(Motion((c1 - c0) / ((t1 - t0) * 1e-6), found.time_us))
         self.last_us = window.end_us
         if self.reading is None:
+            self._tries += 1
             self._decode()
+        if self.reading is None and self._tries in self._due:
+            self._find_again(window)
+
+    @property
+    def _due(self) -> tuple[int, ...]:
+        """Windows after which it is searched for again."""
+        return self._cfg.good_found_again if self._agrees_well else self._cfg.found_again
+
+    @property
+    def _agrees_well(self) -> bool:
+        """Whether it agrees so well with its known modules that it is worth while to try hard."""
+        good = self.detection.score >= self._solver.config.align.good_score
+        return good and not self.detection.space.single_pattern
 
     def _decode(self) -> None:
+        """Add the newest window, and decode the sum of all; else what agrees with it, and it alone."""
         with self._clock("stage_two"):
             estimate = self._fusion.add(self.detection.equations, self.detection.noise)
+        alone = self.windows == 1
+        thorough = self._tries % self._cfg.full_effort_every == 0
+        self._try(estimate, self.windows, full=thorough or (alone and self._agrees_well))
+        if alone or self.reading is not None or self.detection.space.single_pattern:
+            return
+        others = self._fusion.others()
+        while self.reading is None:
+            with self._clock("stage_two"):
+                other = next(others, None)
+            if other is None:
+                break
+            estimate, windows = other
+            self._try(estimate, windows, full=windows == 1 and self._agrees_well)
+
+    def _try(self, estimate: CodeEstimate, windows: int, *, full: bool) -> None:
+        """Decode what some windows say."""
+        space = self.detection.space
+        grids = 1 if self._tries == 1 or space.single_pattern else GRIDS
         with self._clock("decode"):
-            thorough = self.windows % self._cfg.full_effort_every == 0
             outcome = decode_grid(
                 estimate.q,
-                self.detection.space,
-                config=self._solver.config.decode,
-                effort="full" if thorough else "quick",
+                space,
+                config=self._solver.config.decode.among(grids),
+                effort="full" if full else "quick",
             )
-        if isinstance(outcome, DecodeFailure):
+        if isinstance(outcome, Decoded):
+            self.reading = self._reading(outcome, estimate, windows)
+        elif self.failure is None or windows == self.windows:
             self.failure = outcome
-        else:
-            self.reading = self._reading(outcome, estimate)
 
-    def _reading(self, decoded: Decoded, estimate: CodeEstimate) -> CodeReading:
+    def _find_again(self, window: Window) -> None:
+        """Search for the code from cold: what went wrong stays wrong while the code is followed."""
+        found = self._solver.find(window, self.detection.motion, thorough=False)
+        self._clock.add(found.timings_ms)
+        if isinstance(found, NotFound) or found.score < self.detection.score - SCORES_ALIKE:
+            return
+        space, apart = self.detection.space, float(np.hypot(*(found.centre - self.detection.centre)))
+        if apart > SAME_CENTRE * space.size * module_px(self.detection.pose, space.shape):
+            return
+        better = found.score > self.detection.score + BETTER
+        self.detection = found.moving(self.detection.motion)
+        self._path.clear()
+        self._path.append((found.time_us, found.centre))
+        if found.space != space or better:
+            self._fusion = self._new_fusion()
+            self._decode()
+            return
+        with self._clock("stage_two"):
+            (alone,) = self._solver.solve([found])
+        self._try(alone, 1, full=True)
+
+    def _reading(self, decoded: Decoded, estimate: CodeEstimate, windows: int) -> CodeReading:
         return CodeReading(
             **vars(decoded.payload),
             symbology=decoded.symbology.value,
@@ -140,7 +215,7 @@ class Track:
             t_first_us=self.first_us,
             t_last_us=self.last_us,
             t_read_us=self.last_us,
-            windows=self.windows,
+            windows=windows,
             corners_px=self.detection.at(self.last_us).outline(),
             motion_px_per_s=self.detection.motion.velocity,
             confidence=decoded.confidence,

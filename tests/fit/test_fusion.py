@@ -3,12 +3,13 @@
 import dense
 import numpy as np
 import pytest
-from scenes import middle_us, scene
+from scenes import middle_us, moved, scene
 from steps import normal_equations, solved
 
 from evqr.config import AlignConfig, ModulesConfig, Vote
 from evqr.fit.align import align, fine_levels
-from evqr.fit.fusion import Fusion
+from evqr.fit.fusion import MOST_GROUPS, Fusion, misfit
+from evqr.fit.modules import solve_modules
 from evqr.symbol import qr
 from evqr.workspace import Images
 
@@ -129,6 +130,84 @@ def test_soft_of_equal_windows_is_each_of_them(windows, workspace):
     for _ in range(3):
         q = fusion.add(one, 2.0).q
     np.testing.assert_allclose(q / np.abs(q).max(), alone / np.abs(alone).max(), atol=1e-5)
+
+
+# ---- windows that do not agree
+
+
+def off_by_a_module(seen, gain, workspace):
+    """Equations of a window whose pose is wrong."""
+    cells = moved(seen.in_cells, 25, shift=(1.0, 0.0))
+    return normal_equations(seen.image, cells, gain, seen.space, ONE.sigma, CONFIG, workspace=workspace)
+
+
+@pytest.mark.parametrize("vote", Vote)
+@pytest.mark.parametrize("at", [0, 1, 2])
+def test_a_wrong_pose_in_one_window_leaves_those_that_agree(vote, at, windows, workspace):
+    fusion, last = Fusion(vote, CONFIG, workspace=workspace), None
+    for k, (seen, gain) in enumerate(windows):
+        made = off_by_a_module if k == at else equations
+        fusion.add(made(seen, gain, workspace), 1.0)
+        last = [(wrong(estimate.q, seen), count) for estimate, count in fusion.others()]
+    assert fusion.windows == 3
+    if at == 2:  # the newest window is the wrong one, and agrees with none
+        assert [count for _, count in last] == [1]
+        assert last[0][0] > 0.1
+    else:
+        assert [count for _, count in last] == [2, 1]
+        assert [share for share, _ in last] == [0.0, 0.0]
+
+
+def test_windows_that_agree_leave_nothing_to_try_but_the_newest_alone(windows, workspace):
+    fusion = Fusion(Vote.INFORMATION, CONFIG, workspace=workspace)
+    counts = []
+    for seen, gain in windows:
+        fusion.add(equations(seen, gain, workspace), 1.0)
+        counts.append([count for _, count in fusion.others()])
+    assert counts == [[], [1], [1]]
+
+
+def test_windows_are_compared_only_when_others_are_asked_for(windows, workspace, monkeypatch):
+    calls = []
+
+    def counted(*args, **options):
+        calls.append(args)
+        return solve_modules(*args, **options)
+
+    monkeypatch.setattr("evqr.fit.fusion.solve_modules", counted)
+    fusion = Fusion(Vote.INFORMATION, CONFIG, workspace=workspace)
+    for seen, gain in windows:
+        fusion.add(equations(seen, gain, workspace), 1.0)
+    assert len(calls) == 3
+
+
+def test_groups_are_no_more_than_a_few(windows, workspace):
+    seen, gain = windows[0]
+    rng = np.random.default_rng(0)
+    fusion = Fusion(Vote.INFORMATION, CONFIG, workspace=workspace)
+    for _ in range(MOST_GROUPS + 3):
+        values = rng.normal(0.0, 30.0, workspace.get(seen.image.device).shape)
+        image = Images(workspace.put(values.astype(np.float32)))
+        noise = normal_equations(
+            image, seen.in_cells, gain, seen.space, ONE.sigma, CONFIG, workspace=workspace
+        )
+        fusion.add(noise, 1e-3)
+        assert [count for _, count in fusion.others()] in ([], [1])
+    assert len(fusion._groups) == MOST_GROUPS
+
+
+def test_misfit_is_one_where_noise_alone_is_left(windows, workspace):
+    seen, gain = windows[0]
+    rng = np.random.default_rng(0)
+    shape = workspace.get(seen.image.device).shape
+    white = Images(workspace.put(rng.normal(0.0, 3.0, shape).astype(np.float32)))
+    noise = normal_equations(white, seen.in_cells, gain, seen.space, ONE.sigma, CONFIG, workspace=workspace)
+    light = np.ones((25, 25), np.float32)
+    base = misfit(noise.weighted(9.0), light)
+    assert misfit(noise.weighted(9.0 * base), light) == pytest.approx(1.0)
+    right = equations(seen, gain, workspace)
+    modules = seen.modules.astype(np.float32)
+    assert misfit(right, modules) < 0.1 * misfit(right, -modules)
 
 
 # ---- all of them
