@@ -14,11 +14,11 @@ T = TypeVar("T")
 
 
 ONE_TIME = "one_time"
-"""The stage of work that is done once and then kept: loading kernels, making tables, recording launches."""
+"""The stage of what is done once and then kept: loading kernels, making tables, recording launches."""
 
 
 class _OneTime(threading.local):
-    """Of each thread: how deep it is in work that is done once, and what that took and no stage has yet [ms]."""
+    """Of each thread: how deep it is in work that is done once, and what of that no stage has yet [ms]."""
 
     depth = 0
     ms = 0.0
@@ -65,7 +65,7 @@ class StageClock:
             if once:
                 _one_time.ms = before
                 self.ms[ONE_TIME] = self.ms.get(ONE_TIME, 0.0) + once
-            self.ms[stage] = self.ms.get(stage, 0.0) + elapsed - once
+            self.ms[stage] = self.ms.get(stage, 0.0) + max(elapsed - once, 0.0)
 
     def pausing(self, stage: str, asking: Generator[Asked, Answer, T]) -> Generator[Asked, Answer, T]:
         """Time work that pauses to ask for something: until it is answered, no time is counted."""

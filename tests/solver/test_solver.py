@@ -130,10 +130,10 @@ def test_results_say_how_long_their_stages_took(solver):
     found = solver.find(window, moving.motion)
     nothing = solver.find(make_window(noise(0, 1000), 0, 1000), moving.motion)
     followed = follow(solver, window_of(made, middle=1000), found)
-    assert set(moving.timings_ms) == {"motion"}
+    assert set(moving.timings_ms) - {"one_time"} == {"motion"}
     assert {"finder", "pose", "stage_one"} <= set(found.timings_ms)
-    assert set(nothing.timings_ms) == {"finder"}
-    assert set(followed.timings_ms) == {"stage_one"}
+    assert set(nothing.timings_ms) - {"one_time"} == {"finder"}
+    assert set(followed.timings_ms) - {"one_time"} == {"stage_one"}
     kept = dict(found.timings_ms)
     solver.find(window, moving.motion)
     assert found.timings_ms == kept

@@ -121,7 +121,8 @@ def along_rows(lines: Image, scale: float, pattern: Pattern) -> Image:
     width = lines.shape[1]
     half = max(1, round(scale / 2))
     down = np.cumsum(np.pad(lines, ((half + 1, half), (0, 0)), mode="edge"), axis=0)
-    means: Image = (down[2 * half + 1 :: STEP] - down[: -2 * half - 1 : STEP]) / np.float32(2 * half + 1)
+    sums = down[2 * half + 1 :: STEP] - down[: -2 * half - 1 : STEP]
+    means: Image = (sums / np.float32(2 * half + 1)).astype(np.float32, copy=False)
     reach = STEP * (int(np.ceil(pattern.end * scale)) // STEP + 1)
     out = np.full((len(means), -(-width // STEP)), -1.0, np.float32)
     places = out[:, reach // STEP : (width - reach) // STEP]

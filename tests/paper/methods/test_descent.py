@@ -149,5 +149,5 @@ def test_reads_a_window(window, pose, workspace):
     reading = read_window(window, MOTION, shifted(pose, 0.3), VERSION, workspace=workspace)
     assert reading.text == "GO DOWN"
     assert reading.q.shape == (21, 21)
-    assert set(reading.compute_ms) == {"stage_one", "stage_two", "decode", "total"}
+    assert set(reading.compute_ms) - {"one_time"} == {"stage_one", "stage_two", "decode", "total"}
     np.testing.assert_allclose(reading.motion.velocity, 1e3 * SPEED, rtol=0.1)

@@ -80,7 +80,7 @@ def test_reads_a_window(recording, workspace, known):
     reading = read_window(window_of(recording), workspace=workspace, motion=motion)
     assert reading.text == "INTEGRATE"
     stages = {"accumulate", "integrate", "stretch", "decode", "total"} | (set() if known else {"motion"})
-    assert set(reading.compute_ms) == stages
+    assert set(reading.compute_ms) - {"one_time"} == stages
 
 
 def test_reads_nothing_without_motion_or_code(recording, workspace):
