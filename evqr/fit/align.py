@@ -102,6 +102,7 @@ class Align(Step):
         self._tables = [each.arguments for each in tables]
         self._results = [workspace.mirror((count, 5)) for _ in tables]
         self._pose = workspace.mirror((count, 9))
+        self._pose.host[:] = np.eye(3).ravel()  # rows without a hypothesis have a pose, too
 
     @property
     def pose(self) -> Any:
@@ -121,7 +122,8 @@ class Align(Step):
     def write(self, pose: NDArray[np.float64], image_idx: NDArray[np.int32], numbers: Sequence[int]) -> None:
         """Say where to start (N, 3, 3), on which images, and for which codes."""
         self._count = len(numbers)
-        self._pose.fill(pose.reshape(-1, 9))
+        self._pose.host[: self._count] = pose.reshape(-1, 9)
+        self._pose.push()
         self._image_idx.fill(image_idx)
         self._table_idx.fill(numbers)
 

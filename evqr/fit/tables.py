@@ -164,7 +164,9 @@ class PoseTables(Tables):
         self._level, self._cfg = level, cfg
         self._end = 0
         super().__init__(workspace, {"M": ROOM["M"], "S": ROOM["S"]})
-        self._mirrors["gram"].host[0] = np.eye(MOMENTS)  # so that no code has a gain, 0
+        # of no code there are no points; so that the gain is 0 and the pose stays:
+        self._mirrors["gram"].host[0] = np.eye(MOMENTS)
+        self._mirrors["settings"].host[0] = 0.0, 0.0, 1.0, 1.0, cfg.ridge, cfg.damping, level.tolerance
         terms, factors = terms_of(level.tilt)
         self._terms = workspace.table(("terms", level.tilt), terms)
         self._factors = workspace.table(("factors", level.tilt), factors)

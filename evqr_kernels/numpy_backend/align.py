@@ -36,7 +36,7 @@ def _align_pose(image, points, table, gram, terms, factors, settings, max_iterat
         moments, energy = (e @ table).astype(np.float64), float(e @ e)
         gain = -np.linalg.solve(solvable, moments[-2:])
         model, cross = gain @ gain_gram @ gain, -gain @ moments[-2:]
-        noise = max(energy - 2.0 * cross + model, 0.0) / len(points)
+        noise = max(energy - 2.0 * cross + model, 0.0) / max(len(points), 1)
         score = cross / np.sqrt(max(model * energy, 1e-20))
         result[:] = (*gain, score, noise, iterations)
         if last or iterations >= max_iterations:

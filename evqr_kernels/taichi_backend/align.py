@@ -116,7 +116,7 @@ def make_align_poses(dtype, columns: int, alone: bool):
                 result_out[h, 1] = gain_v
                 result_out[h, 2] = cross / ti.sqrt(ti.max(model * energy, dtype(1.0e-20)))
                 result_out[h, 3] = ti.max(energy - dtype(2.0) * cross + model, dtype(0.0)) / dtype(
-                    end - begin
+                    ti.max(end - begin, 1)
                 )
                 result_out[h, 4] = dtype(iterations)
                 if iterations >= max_iterations or moving == 2:

@@ -298,7 +298,9 @@ def make_align_poses(dtype: type, columns: int, unrolled: bool) -> wp.Kernel:
             result_out[h, 0] = gain_u
             result_out[h, 1] = gain_v
             result_out[h, 2] = cross / wp.sqrt(wp.max(model * energy, dtype(1.0e-20)))
-            result_out[h, 3] = wp.max(energy - dtype(2.0) * cross + model, dtype(0.0)) / dtype(end - first)
+            result_out[h, 3] = wp.max(energy - dtype(2.0) * cross + model, dtype(0.0)) / dtype(
+                wp.max(end - first, 1)
+            )
             result_out[h, 4] = dtype(iterations)
             if iterations >= max_iterations or moving == 2:
                 moving = 0
