@@ -33,13 +33,14 @@ FEWEST_EVENTS = 1 << 14
 
 
 class Mirror:
-    """A device array and its copy on the host: the same memory where the device is the CPU."""
+    """A device array and its copy on the host: ``shared`` memory where the device is the CPU."""
 
-    def __init__(self, backend: KernelBackend, shape: tuple[int, ...], dtype: DTypeLike, device: str) -> None:
+    def __init__(
+        self, backend: KernelBackend, shape: tuple[int, ...], dtype: DTypeLike, device: str, shared: bool
+    ) -> None:
         self.host: NDArray[Any] = np.zeros(shape, dtype)
         self.device = backend.from_host(self.host, device)
-        self._backend = backend
-        self.shared = np.shares_memory(self.host, backend.to_host(self.device))
+        self._backend, self._shared = backend, shared
         self._filled = 0
 
     def write(self, values: ArrayLike) -> None:
@@ -58,12 +59,12 @@ class Mirror:
 
     def push(self) -> None:
         """Bring to the device what was written to the host's copy."""
-        if not self.shared:
+        if not self._shared:
             self._backend.assign(self.device, self.host)
 
     def read(self) -> NDArray[Any]:
         """Wait for the device and give the host's copy, which later reads overwrite."""
-        if not self.shared:
+        if not self._shared:
             self.host[...] = self._backend.to_host(self.device)
         return self.host
 
@@ -163,7 +164,8 @@ class Workspace(Keeper):
     @cached_property
     def shared(self) -> bool:
         """Whether device and host have the same memory: then a few large launches are no better than many."""
-        return self.mirror((1,)).shared
+        host = np.zeros(1, np.float32)
+        return np.shares_memory(host, self.backend.to_host(self.put(host)))
 
     def empty(self, *shape: int, dtype: DTypeLike = np.float32) -> Any:
         """Make a device array with undefined contents."""
@@ -180,7 +182,7 @@ class Workspace(Keeper):
 
     def mirror(self, shape: tuple[int, ...], dtype: DTypeLike = np.float32) -> Mirror:
         """Make a device array that the host writes or reads, of zeros."""
-        return Mirror(self.backend, shape, dtype, self.device)
+        return Mirror(self.backend, shape, dtype, self.device, self.shared)
 
     def table(self, key: tuple[Any, ...], array: NDArray[Any]) -> Any:
         """Give a constant table on the device, copied there when it is first asked for."""

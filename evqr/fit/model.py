@@ -111,101 +111,131 @@ def pose_table(
 
     With ``beyond_patterns`` it is for the samples outside the symbol's finder patterns and their separators.
     """
-    down, across = (_Axis(count, quiet_modules(space), sigma, samples_a_module) for count in space.shape)
-    use = _on_known(space, down, across)
+    samples = _samples(space, samples_a_module, beyond_patterns)
+    l_u, l_v, l_uu, l_uv, l_vv = _derivatives(space, sigma, samples_a_module, samples)
+    values = np.zeros((MOMENTS, len(samples.points)))
+    np.multiply(l_uu, samples.functions[:5], out=values[:5])
+    np.multiply(l_uv, samples.functions, out=values[5:12])
+    np.multiply(l_vv, samples.functions[:3], out=values[12:15])
+    np.multiply(l_vv, samples.functions[5:], out=values[15:17])
+    values[18:] = l_u, l_v
+    return PoseTable(
+        points=samples.points,
+        table=closed(np.ascontiguousarray(values.T, np.float32)),
+        gram=closed(_gram(values)),
+        centre=samples.centre,
+        scale=samples.centre,
+    )
+
+
+def _gram(values: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Give the products (C, C) of all functions (C, S) with each other: half of them are the other half."""
+    gram = np.empty((len(values), len(values)))
+    for first in range(0, len(values), 5):
+        block = slice(first, first + 5)
+        gram[block, first:] = np.einsum("is,js->ij", values[block], values[first:])
+        gram[first:, block] = gram[block, first:].T
+    return gram
+
+
+@dataclass(frozen=True, eq=False)
+class _Samples:
+    """The samples whose whole footprint lies on known modules, for any blur.
+
+    Attributes
+    ----------
+    points : (S, 2) float32 [modules]
+        Code coordinates.
+    rows : (S,) int
+        Row of samples that each is in.
+    modules, places : (S,) int
+        Column of modules that it is in, and which of the module's samples it is.
+    functions : (7, S) float64
+        1, u', v', w_u u', w_u v', w_v u', w_v v': see `PoseTable`.
+    centre : (float, float) [modules]
+        Of the code.
+    """
+
+    points: NDArray[np.float32]
+    rows: NDArray[np.intp]
+    modules: NDArray[np.intp]
+    places: NDArray[np.intp]
+    functions: NDArray[np.float64]
+    centre: tuple[float, float]
+
+
+@functools.lru_cache(maxsize=128)
+def _samples(space: CodeSpace, samples_a_module: int, beyond_patterns: bool) -> _Samples:
+    across, down = lattices(space, samples_a_module)
+    use = _on_known(space, samples_a_module)
     if beyond_patterns:
         for anchor in space.anchors:
             if anchor.kind is not Landmark.FINDER_PATTERN:
                 continue
             beside_u, beside_v = (
-                np.abs(axis.at - at) > PATTERN_REACH for axis, at in ((across, anchor.u), (down, anchor.v))
+                np.abs(axis - at) > PATTERN_REACH for axis, at in ((across, anchor.u), (down, anchor.v))
             )
             use &= beside_v[:, None] | beside_u
     rows, columns = use.nonzero()
-    l_u, l_v, l_uu, l_uv, l_vv = _derivatives(space, down, across, rows, columns)
-
-    u, v = across.at[columns], down.at[rows]
-    centre = scale = space.columns / 2.0, space.rows / 2.0
+    modules, places = np.divmod(columns, samples_a_module)
+    u, v = across[columns], down[rows]
+    centre = space.columns / 2.0, space.rows / 2.0
     along_u, along_v = u - centre[0], v - centre[1]
-    affine = [np.ones_like(u), along_u / scale[0], along_v / scale[1]]
-    tilt_u, tilt_v = ([along / max(scale) * each for each in affine[1:]] for along in (along_u, along_v))
-    seconds = (l_uu, affine + tilt_u), (l_uv, affine + tilt_u + tilt_v), (l_vv, affine + tilt_v)
-    functions = [second * weight for second, weights in seconds for weight in weights]
-    values = np.stack([*functions, np.zeros_like(u), l_u, l_v])
-    return PoseTable(
+    linear = [along_u / centre[0], along_v / centre[1]]
+    tilted = [along / max(centre) * each for along in (along_u, along_v) for each in linear]
+    return _Samples(
         points=closed(np.stack([u, v], axis=1).astype(np.float32)),
-        table=closed(np.ascontiguousarray(values.T, np.float32)),
-        gram=closed(np.einsum("is,js->ij", values, values)),
+        rows=closed(rows),
+        modules=closed(modules),
+        places=closed(places),
+        functions=closed(np.stack([np.ones_like(u), *linear, *tilted])),
         centre=centre,
-        scale=scale,
     )
 
 
-class _Axis:
-    """Samples along one axis of a code, and how the modules beside each enter there.
+def _on_known(space: CodeSpace, samples_a_module: int) -> NDArray[np.bool_]:
+    """Whether no unknown module is nearer to a sample than its own size, for all samples."""
+    unknown = np.pad(~space.known, quiet_modules(space) + 1)
+    side = np.sign(_within(samples_a_module) - 0.5).astype(np.intp)
+    own, beside = (
+        [(np.arange(1, count - 1)[:, None] + towards).ravel() for count in unknown.shape]
+        for towards in (np.zeros_like(side), side)
+    )
+    unknown = unknown[own[0]] | unknown[beside[0]]
+    return ~(unknown[:, own[1]] | unknown[:, beside[1]])
 
-    The samples in one module see its neighbours as those in the next one see theirs, and a profile ends
-    some widths of its blur away: a few numbers are all that an axis is.
 
-    Attributes
-    ----------
-    at : (n,) float64 [modules]
-        Where the samples are.
-    reach : int [modules]
-        How far a module is seen.
-    module : (n,) int
-        Which one a sample is in, counted from the first that it could see.
-    place : (n,) int
-        Which of its module's samples it is.
-    beside : (n,) int
-        The neighbour that a sample's footprint lies on too, as ``module``; the same where there is none.
-    weights : (3, samples_a_module, 2 reach + 1) float64
-        b, b' and b'' of the modules from ``-reach`` to ``reach`` beside that of a sample.
-    """
-
-    def __init__(self, count: int, quiet: int, sigma: float, samples_a_module: int) -> None:
-        self.at = lattice(count, quiet, samples_a_module)
-        self.reach = int(1.0 + PROFILE_WIDTHS * sigma)
-        of_module, self.place = np.divmod(np.arange(len(self.at)), samples_a_module)
-        self.module = of_module + self.reach
-        within, self.weights = _weights(self.reach, sigma, samples_a_module)
-        self.beside = self.module + np.sign(within - 0.5).astype(np.intp)[self.place]
+def _within(samples_a_module: int) -> NDArray[np.float64]:
+    """Where the samples of a module are in it."""
+    return (np.arange(samples_a_module) + 0.5) / samples_a_module
 
 
 @functools.lru_cache(maxsize=32)
-def _weights(
-    reach: int, sigma: float, samples_a_module: int
-) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    """Where samples are in their module, and what they see of those beside it: `_Axis.weights`."""
-    within = (np.arange(samples_a_module) + 0.5) / samples_a_module
-    offset = within[:, None] - np.arange(-reach, reach + 1)
-    return closed(within), closed(np.stack(profiles(offset, sigma)))
+def _weights(sigma: float, samples_a_module: int) -> NDArray[np.float64]:
+    """Give b, b' and b'' of the modules that a sample sees, (3, samples_a_module, 2 reach + 1).
 
-
-def _on_known(space: CodeSpace, down: _Axis, across: _Axis) -> NDArray[np.bool_]:
-    """Whether no unknown module is nearer to a sample than its own size, for all samples."""
-    unknown = np.pad(~space.known, quiet_modules(space) + down.reach)
-    unknown = unknown[down.module] | unknown[down.beside]
-    return ~(unknown[:, across.module] | unknown[:, across.beside])
+    They are the same in all modules, and a profile ends some widths of its blur away: few numbers an axis.
+    """
+    reach = int(1.0 + PROFILE_WIDTHS * sigma)
+    offset = _within(samples_a_module)[:, None] - np.arange(-reach, reach + 1)
+    return closed(np.stack(profiles(offset, sigma)))
 
 
 def _derivatives(
-    space: CodeSpace, down: _Axis, across: _Axis, rows: NDArray[np.intp], columns: NDArray[np.intp]
-) -> tuple[NDArray[np.float64], ...]:
-    """L_u, L_v, L_uu, L_uv and L_vv at some samples (S,), what is not known taken for light."""
-    reach = down.reach
-    seen = 2 * reach + 1
+    space: CodeSpace, sigma: float, samples_a_module: int, samples: _Samples
+) -> NDArray[np.float64]:
+    """L_u, L_v, L_uu, L_uv and L_vv at some samples, (5, S), what is not known taken for light."""
+    weights = _weights(sigma, samples_a_module)
+    reach = weights.shape[2] // 2
     above_light = np.pad(np.where(space.known, space.values - 1.0, 0.0), quiet_modules(space) + reach)
     # along v for all modules of a row; along u only where it is asked for, some tenth of all samples
     height, width = len(above_light) - 2 * reach, above_light.shape[1]
-    along_v = np.zeros((3, height, down.weights.shape[1], width))
-    for step in range(seen):
-        along_v += down.weights[:, None, :, step, None] * above_light[step : step + height, None, :]
-    of_v, of_u = [0, 1, 0, 1, 2], [1, 0, 2, 1, 0]
-    picked, weights = along_v[of_v].reshape(5, -1), across.weights[of_u]
-    first = rows * width + across.module[columns] - reach  # rows are samples: modules, and places in them
-    place = across.place[columns]
-    found = np.zeros((5, len(rows)))
-    for step in range(seen):
-        found += weights[:, :, step].take(place, axis=1) * picked.take(first + step, axis=1)
-    return tuple(found)
+    along_v = np.zeros((3, height, samples_a_module, width))
+    for step in range(2 * reach + 1):
+        along_v += weights[:, None, :, step, None] * above_light[step : step + height, None, :]
+    of_v, of_u = along_v.reshape(3, -1)[[0, 1, 0, 1, 2]], weights[[1, 0, 2, 1, 0]]
+    first = samples.rows * width + samples.modules
+    found = np.zeros((5, len(first)))
+    for step in range(2 * reach + 1):
+        found += of_u[:, :, step].take(samples.places, axis=1) * of_v.take(first + step, axis=1)
+    return found
