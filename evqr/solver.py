@@ -26,7 +26,7 @@ from evqr.motion import Motion
 from evqr.reason import Reason
 from evqr.search.finder import Found, find_hypotheses
 from evqr.search.hypothesis import Layout
-from evqr.search.motion_estimate import MotionEstimate, estimate_motion, find_motion
+from evqr.search.motion_estimate import MotionEstimate, QuietSpells, estimate_motion, find_motion
 from evqr.search.passes import search_passes
 from evqr.search.screen import batches, screen
 from evqr.workspace import Workspace
@@ -57,7 +57,9 @@ class Solver:
         self.workspace = Workspace(kernels_on(backend, device), device)
         load(self.workspace.backend, device, LAUNCHED)
 
-    def motion_at(self, start_us: int, *, guess: Motion | None = None) -> Asking[MotionEstimate | NotFound]:
+    def motion_at(
+        self, start_us: int, *, guess: Motion | None = None, quiet: QuietSpells | None = None
+    ) -> Asking[MotionEstimate | NotFound]:
         """Estimate the motion at a time of a stream.
 
         It asks for the windows that it takes (`EventBuffer.answer` runs it where all events are there).
@@ -68,6 +70,9 @@ class Solver:
             Where its windows begin.
         guess : Motion
             From an earlier window, for its speed; None: from cold.
+        quiet : QuietSpells
+            Of earlier searches in the same stream: long windows that would show the same again are left out.
+            None: none are.
 
         Returns
         -------
@@ -75,7 +80,7 @@ class Solver:
             With its timings.
         """
         clock = StageClock()
-        asking = find_motion(start_us, self.config.motion, workspace=self.workspace, guess=guess)
+        asking = find_motion(start_us, self.config.motion, workspace=self.workspace, guess=guess, quiet=quiet)
         found = yield from clock.pausing("motion", asking)
         return _timed(found, clock)
 

@@ -149,7 +149,8 @@ def lag_operator_adjoint(size: Size, rng, dtype) -> Problem:
 
 def motion_correlation(size: Size, rng, dtype, radius: int = 12) -> Problem:
     images = 2.0 * _image(size, rng, dtype, 2) * (rng.random((size.batch, 2, size.side, size.side)) < 0.2)
-    inputs, pixels = [images.astype(dtype), 2.0, radius], size.batch * size.side**2
+    quiet = np.zeros((size.batch, 2), dtype)
+    inputs, pixels = [images.astype(dtype), quiet, 2.0, radius], size.batch * size.side**2
     made = problem("motion_correlation", inputs, pixels, 0)
     made.madds = np.count_nonzero(images[:, 0]) * math.prod(made.outputs[1].shape[2:])
     return made

@@ -32,6 +32,9 @@ MOST_PROBES, LONGER = 4, 4
 LEAST_TRAVEL_PX = 1.0
 """Travel in such a window that tells a speed [px]."""
 
+FRESH = 4
+"""A window that begins less than one such part of its length after another one shows mostly the same."""
+
 LEAST_HALF = 2.0
 """Half width of the window that blurs a correlation, at least [binned px]."""
 
@@ -41,6 +44,12 @@ CLEAR_PEAK = 0.1
 NOISE_PEAK = 5.0
 """Standard deviations of the correlation of halves that have nothing to do with each other, which the highest
 of them all does not reach."""
+
+NOISE_SPREAD = 3.0
+"""Standard deviations within which counts in cells are as those of noise: they are not correlated then."""
+
+LEAST_CELL_PX = 3
+"""Cells from which counts tell noise from what moves: a pixel that has fired may not fire again so soon."""
 
 FEWEST_ROOM = 1 << 12
 """Room for events grows from this in powers of two, so that launches recorded for it are used again."""
@@ -78,7 +87,7 @@ class _Correlator:
         backend, shifts = workspace.backend, 2 * radius + 1
         self._x, self._y = (workspace.mirror((room,), np.uint16) for _ in range(2))
         self._stamp = workspace.mirror((room,), np.uint32)
-        self._ptr = workspace.mirror((2 * count, 2), np.int32)
+        self._ptr, self._quiet = workspace.mirror((2 * count, 2), np.int32), workspace.mirror((count, 2))
         self._peak, self._energy = workspace.mirror((count, 3)), workspace.mirror((count, 2))
         halves = workspace.empty(2 * count, height, width)
         pairs = halves.reshape((count, 2, height, width))
@@ -90,23 +99,29 @@ class _Correlator:
         def launch() -> None:
             backend.clear(halves)
             backend.bin_packed_events(*events, reduction, halves)
-            backend.motion_correlation(pairs, cfg.clip, radius, *scratch, surface, self._energy.device)
+            backend.motion_correlation(
+                pairs, self._quiet.device, cfg.clip, radius, *scratch, surface, self._energy.device
+            )
             backend.surface_peak(surface, half, *blurred, self._peak.device)
 
-        self._run = backend.record(launch)
+        self._run, self._reduction = backend.record(launch), reduction
 
     def __call__(self, samples: Sequence[_Sample]) -> list[tuple[NDArray[np.float64], float]]:
         """Give each window's shift (x, y) of highest correlation [binned px], and that correlation."""
         first = 0
         self._ptr.host[2 * len(samples) :] = 0
+        self._quiet.host[...] = 0.0
         for k, sample in enumerate(samples):
             events, step = sample.window.events, sample.step
             middle, last = first + sample.middle, first + sample.count
             self._ptr.host[2 * k : 2 * k + 2] = (first, middle), (middle, last)
             self._x.host[first:last], self._y.host[first:last] = events.x[::step], events.y[::step]
-            np.greater(events.p[::step], 0, out=self._stamp.host[first:last])
+            on = np.greater(events.p[::step], 0, out=self._stamp.host[first:last])
+            if self._reduction >= LEAST_CELL_PX:
+                n_on = int(np.count_nonzero(on))
+                self._quiet.host[k] = _noise_squares(sample.count, n_on, sample.window, self._reduction)
             first = last
-        for mirror in (self._x, self._y, self._stamp, self._ptr):
+        for mirror in (self._x, self._y, self._stamp, self._ptr, self._quiet):
             mirror.push()
         self._run()
         peaks, energies = self._peak.read().tolist(), self._energy.read().tolist()
@@ -114,6 +129,19 @@ class _Correlator:
             (np.array([x, y]), highest / max(math.sqrt(first * second), 1e-9))
             for (x, y, highest), (first, second), _ in zip(peaks, energies, samples, strict=False)
         ]
+
+
+def _noise_squares(count: int, on: int, window: Window, reduction: int) -> tuple[float, float]:
+    """Give between what the squares of all cells of both halves sum up to where events are noise.
+
+    Of a Poisson number of events, l in the mean, with signs whose mean is s, the sum has the square
+    l + (l s)^2 in the mean, with a variance of 2 l^2 + 4 l (l s)^2 where the events of all cells are counted.
+    """
+    cells = 2.0 * window.width * window.height / reduction**2
+    mean, imbalance = count / cells, ((2 * on - count) / cells) ** 2
+    middle = cells * (mean + imbalance)
+    spread = NOISE_SPREAD * math.sqrt(cells * (2.0 * mean**2 + 4.0 * mean * imbalance))
+    return middle - spread, middle + spread
 
 
 @dataclass(frozen=True, eq=False)
@@ -177,7 +205,8 @@ def estimate_motions(
             window = windows[k]
             cells = window.width * window.height / reduction**2
             agree = correlation >= max(cfg.min_peak, NOISE_PEAK * 0.75 / (half * math.sqrt(cells)))
-            if now_reach is None and np.abs(shift).max() >= cfg.reach_px and (agree or thorough):
+            far = now_reach is None and np.abs(shift).max() >= cfg.reach_px
+            if far and (agree or (thorough and correlation > 0.0)):
                 waiting.append((k, sample, 4 * cfg.reach_px))
             elif thorough and sample.step > 1 and correlation < CLEAR_PEAK:
                 waiting.append((k, _Sample.of(window, middles[k], len(window)), now_reach))
@@ -197,7 +226,7 @@ def _correlate(
     width = -(-max(sample.window.width for sample in samples) // reduction)
     radius = reach + taps_beside(half)
     correlate = workspace.once(
-        ("motion", count, room, height, width, reduction, radius, cfg),
+        ("motion", count, room, height, width, reduction, radius, half, cfg.clip),
         lambda: _Correlator(count, room, height, width, reduction, radius, half, cfg, workspace),
     )
     return correlate(samples)
@@ -208,9 +237,11 @@ def _estimate(
     cfg: MotionConfig,
 ) -> MotionEstimate | Reason:  # fmt: skip
     """Make a motion of a shift [px]."""
+    if not agree:
+        return Reason.NOTHING_MOVES
     window = sample.window
     between = _mean_us(window, middle, len(window), cfg) - _mean_us(window, 0, middle, cfg)
-    if between <= 0.0 or not agree:
+    if between <= 0.0:
         return Reason.NOTHING_MOVES
     return MotionEstimate(Motion(shift / (between * 1e-6), window.middle_us), correlation)
 
@@ -229,9 +260,51 @@ def _mean_us(window: Window, first: int, last: int, cfg: MotionConfig) -> float:
     return int(times.sum()) / len(times)
 
 
+class QuietSpells:
+    """Where in a stream windows of each length showed nothing that moves.
+
+    Searches follow each other at times that suit the shortest window; a long one, which takes most of the
+    time where there is nothing, would be much the same again and again.
+    """
+
+    def __init__(self) -> None:
+        self._began: dict[int, int] = {}
+
+    def covers(self, start_us: int, length_us: int) -> bool:
+        """Tell whether a window is not worth a look.
+
+        Parameters
+        ----------
+        start_us : int [us]
+            Where it begins.
+        length_us : int [us]
+            How long it is.
+
+        Returns
+        -------
+        covers : bool
+            Whether one as long that began shortly before showed nothing.
+        """
+        began_us = self._began.get(length_us)
+        return began_us is not None and 0 <= start_us - began_us < length_us // FRESH
+
+    def add(self, start_us: int, length_us: int) -> None:
+        """Take note of a window that showed nothing.
+
+        Parameters
+        ----------
+        start_us : int [us]
+            Where it began.
+        length_us : int [us]
+            How long it was.
+        """
+        self._began[length_us] = start_us
+
+
 def find_motion(
-    start_us: int, cfg: MotionConfig, *, workspace: Workspace, guess: Motion | None = None
-) -> Asking[MotionEstimate | Reason]:
+    start_us: int, cfg: MotionConfig, *, workspace: Workspace, guess: Motion | None = None,
+    quiet: QuietSpells | None = None,
+) -> Asking[MotionEstimate | Reason]:  # fmt: skip
     """Estimate the motion at a time from cold: coarsely, then over a window that suits the speed.
 
     Which windows it takes depends on what the ones before say, so it asks for them one by one
@@ -247,22 +320,26 @@ def find_motion(
         Buffers.
     guess : Motion
         From an earlier window, for its speed; None: nothing known.
+    quiet : QuietSpells
+        Of earlier searches in the same stream: windows that it covers are left out. None: none are.
 
     Returns
     -------
     estimate : MotionEstimate or Reason
         As of `estimate_motion`.
     """
-    length = cfg.probe_us
+    length, quiet = cfg.probe_us, quiet or QuietSpells()
     for _ in range(0 if guess is not None else MOST_PROBES):
-        window = yield start_us, start_us + length
-        # what is so fast that halves of the shortest window are far apart is no better seen in a longer one
-        (coarse,) = estimate_motions(
-            [window], cfg, workspace=workspace, reduction=cfg.reduction, thorough=length == cfg.probe_us
-        )
-        if isinstance(coarse, MotionEstimate) and coarse.motion.travel_px(length) >= LEAST_TRAVEL_PX:
-            guess = coarse.motion
-            break
+        if not quiet.covers(start_us, length):
+            window = yield start_us, start_us + length
+            # what is so fast that halves of the shortest window are far apart is no better seen in a longer
+            (coarse,) = estimate_motions(
+                [window], cfg, workspace=workspace, reduction=cfg.reduction, thorough=length == cfg.probe_us
+            )
+            if isinstance(coarse, MotionEstimate) and coarse.motion.travel_px(length) >= LEAST_TRAVEL_PX:
+                guess = coarse.motion
+                break
+            quiet.add(start_us, length)
         if length >= cfg.longest_us:
             return Reason.NOTHING_MOVES
         length = min(LONGER * length, cfg.longest_us)

@@ -26,6 +26,7 @@ from evqr.fit.outside import outside
 from evqr.motion import Motion
 from evqr.reason import Reason
 from evqr.results import Statistics
+from evqr.search.motion_estimate import QuietSpells
 from evqr.solver import Solver
 from evqr.stream.known import KnownCodes
 from evqr.stream.records import CodeAgain, CodeLeft, CodeRead, CodeUnread, Searched, StreamRecord
@@ -96,6 +97,7 @@ class StreamScheduler:
         self._tracks: list[Track] = []
         self._lost: list[Track] = []
         self._motion: Motion | None = None
+        self._quiet = QuietSpells()
         self._tau_us: tuple[float, float] | None = None
         self._clock = StageClock()
         self._windows = self._searches = 0
@@ -261,7 +263,7 @@ class StreamScheduler:
     def _tries(self, at_us: int) -> Asking[list[_Try]]:
         """Search at a time, and ahead of it on the other threads while nothing else is going on."""
         if self._pool is None or self._tracks or self._motion is None:
-            tried = yield from self._try(self._solver, at_us)
+            tried = yield from self._try(self._solver, at_us, self._quiet)
             return [tried]
         step = self._step_us(self._motion)
         asking = [self._try(solver, at_us + k * step) for k, solver in enumerate(self._solvers)]
@@ -278,13 +280,13 @@ class StreamScheduler:
         step = max(self._solver.window_us(motion), round(motion.travel_time_us(travel)))
         return min(step, cfg.longest_us)
 
-    def _try(self, solver: Solver, at_us: int) -> Asking[_Try]:
-        """Search once; may run on any thread and changes nothing here."""
+    def _try(self, solver: Solver, at_us: int, quiet: QuietSpells | None = None) -> Asking[_Try]:
+        """Search once; may run on any thread and changes nothing here but ``quiet``."""
         clock = StageClock()
-        moving = yield from solver.motion_at(at_us, guess=self._motion)
+        moving = yield from solver.motion_at(at_us, guess=self._motion, quiet=quiet)
         clock.add(moving.timings_ms)
         if isinstance(moving, NotFound) and self._motion is not None:
-            moving = yield from solver.motion_at(at_us)
+            moving = yield from solver.motion_at(at_us, quiet=quiet)
             clock.add(moving.timings_ms)
         if isinstance(moving, NotFound):
             return _Try(at_us, None, None, replace(moving, timings_ms=clock.ms))

@@ -8,19 +8,33 @@ from evqr_kernels.operations.images import NEWTON_STEPS, taps_beside
 
 
 def motion_correlation(
-    images_inout, clip, radius, found_out, rows_out, energy_rows_out, correlation_out, energy_out
+    images_inout,
+    quiet,
+    clip,
+    radius,
+    found_out,
+    rows_out,
+    energy_rows_out,
+    busy_out,
+    correlation_out,
+    energy_out,
 ) -> None:
     """Correlate pairs of images over a square of shifts; clips them in place, overwrites the rest."""
+    energy_rows_out[..., 2:] = (images_inout**2).sum(axis=3).transpose(0, 2, 1)
+    energy = energy_rows_out[..., 2:].sum(axis=(1, 2))
+    busy_out[:] = (energy < quiet[:, 0]) | (energy > quiet[:, 1])
     np.clip(images_inout, -clip, clip, out=images_inout)
-    first, second = images_inout[:, 0], images_inout[:, 1]
-    _, height, width = first.shape
-    padded = np.pad(second, ((0, 0), (radius, radius), (radius, radius)))
-    for j in range(2 * radius + 1):
-        for i in range(2 * radius + 1):
-            rows_out[:, :, j, i] = (first * padded[:, j : j + height, i : i + width]).sum(axis=2)
-    correlation_out[:] = rows_out[..., : 2 * radius + 1].sum(axis=1)
-    energy_rows_out[..., 0], energy_rows_out[..., 1] = (first**2).sum(axis=2), (second**2).sum(axis=2)
-    energy_out[:] = energy_rows_out.sum(axis=1)
+    energy_rows_out[..., :2] = (images_inout**2).sum(axis=3).transpose(0, 2, 1)
+    energy_out[:] = energy_rows_out[..., :2].sum(axis=1)
+    correlation_out[:] = 0.0
+    for b in np.flatnonzero(busy_out):
+        first, second = images_inout[b]
+        height, width = first.shape
+        padded = np.pad(second, radius)
+        for j in range(2 * radius + 1):
+            for i in range(2 * radius + 1):
+                rows_out[b, :, j, i] = (first * padded[j : j + height, i : i + width]).sum(axis=1)
+        correlation_out[b] = rows_out[b, ..., : 2 * radius + 1].sum(axis=0)
 
 
 def surface_peak(surface, half, filled_out, rows_out, peak_out) -> None:

@@ -20,7 +20,13 @@ __all__ = [
 
 @checked
 def motion_correlation(
-    images: Floats, *, radius: int, clip: float, backend: str = "auto", device: str | None = None
+    images: Floats,
+    quiet: Floats | None = None,
+    *,
+    radius: int,
+    clip: float,
+    backend: str = "auto",
+    device: str | None = None,
 ) -> tuple[Floats, Floats]:
     """Correlate pairs of images, clipped, over a square of shifts.
 
@@ -28,6 +34,9 @@ def motion_correlation(
     ----------
     images : (B, 2, Y, X) float [weight]
         The first and the second of each pair; they are left as they are.
+    quiet : (B, 2) float [weight^2]
+        Least and greatest sum of the squares of a pair, before clipping, that is not worth while: its
+        correlation is 0. Default: 0 and 0.
     radius : int [px]
         R, the largest shift along an axis.
     clip : float [weight]
@@ -40,7 +49,7 @@ def motion_correlation(
     correlation : (B, 2 R + 1, 2 R + 1) float [weight^2]
         Entry (j, i) is the sum of first(y, x) second(y + j - R, x + i - R).
     energy : (B, 2) float [weight^2]
-        Sums of the squares of the two images.
+        Sums of the squares of the two images, clipped.
 
     Raises
     ------
@@ -54,8 +63,8 @@ def motion_correlation(
     Notes
     -----
     Cost: (2 R + 1)^2 multiply-adds for each pixel of the first image that is not 0, then Y (2 R + 1)^2
-    additions; three passes.  Scratch: a copy of the images, (B, Y, X) int32, (B, Y, 2 R + 1, 2 R + 1 up to a
-    multiple of 16) and (B, Y, 2).
+    additions; four passes, of which quiet pairs take two.  Scratch: a copy of the images, (B, Y, X) int32,
+    (B, Y, 2 R + 1, 2 R + 1 up to a multiple of 16), (B, Y, 4) and (B,) int32.
 
     Determinism: bit for bit.
     """

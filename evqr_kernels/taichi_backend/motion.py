@@ -34,15 +34,44 @@ def make_clip_rows(dtype):
     def clip_rows(clip: dtype, images_inout: array(dtype, 4), energy_rows_out: array(dtype, 3)):
         for b, i, y in ti.ndrange(images_inout.shape[0], 2, images_inout.shape[2]):
             energy = dtype(0.0)
+            before = dtype(0.0)
             for x in range(images_inout.shape[3]):
                 value = images_inout[b, i, y, x]
+                before += value * value
                 if ti.abs(value) > clip:
                     value = clamp(value, -clip, clip)
                     images_inout[b, i, y, x] = value
                 energy += value * value
             energy_rows_out[b, y, i] = energy
+            energy_rows_out[b, y, 2 + i] = before
 
     return clip_rows
+
+
+@cache
+def make_judge_pairs(dtype):
+    """Build the choice of what is worth while; one thread per pair."""
+
+    @ti.kernel
+    def judge_pairs(
+        energy_rows: array(dtype, 3),
+        quiet: array(dtype, 2),
+        busy_out: array(ti.i32, 1),
+        energy_out: array(dtype, 2),
+    ):
+        for b in range(energy_rows.shape[0]):
+            first = dtype(0.0)
+            second = dtype(0.0)
+            before = dtype(0.0)
+            for y in range(energy_rows.shape[1]):
+                first += energy_rows[b, y, 0]
+                second += energy_rows[b, y, 1]
+                before += energy_rows[b, y, 2] + energy_rows[b, y, 3]
+            energy_out[b, 0] = first
+            energy_out[b, 1] = second
+            busy_out[b] = ti.select(before < quiet[b, 0] or before > quiet[b, 1], 1, 0)
+
+    return judge_pairs
 
 
 @cache
@@ -52,11 +81,14 @@ def make_correlate_rows(dtype):
     @ti.kernel
     def correlate_rows(
         images: array(dtype, 4),
+        busy: array(ti.i32, 1),
         radius: ti.i32,
         found_out: array(ti.i32, 3),
         rows_out: array(dtype, 4),
     ):
         for b, y in ti.ndrange(images.shape[0], images.shape[2]):
+            if busy[b] == 0:
+                continue
             height = images.shape[2]
             width = images.shape[3]
             shifts = 2 * radius + 1
@@ -109,39 +141,42 @@ def make_add_rows(dtype):
     @ti.kernel
     def add_rows(
         rows: array(dtype, 4),
-        energy_rows: array(dtype, 3),
+        busy: array(ti.i32, 1),
         correlation_out: array(dtype, 3),
-        energy_out: array(dtype, 2),
     ):
         for b, j in ti.ndrange(correlation_out.shape[0], correlation_out.shape[1]):
             shifts = correlation_out.shape[2]
             for k in range(rows.shape[3] // BLOCK):
                 total = ti.Vector.zero(dtype, BLOCK)
-                for y in range(rows.shape[1]):
+                for y in range(rows.shape[1] * busy[b]):
                     at = run_at(row_of_plane(rows, b, y, j) + BLOCK * k)
                     for p in ti.static(range(BLOCK)):
                         total[p] += rows[0, 0, 0, at + p]
                 for p in ti.static(range(BLOCK)):
                     if BLOCK * k + p < shifts:
                         correlation_out[b, j, BLOCK * k + p] = total[p]
-            if j == 0:
-                for image in range(2):
-                    energy = dtype(0.0)
-                    for y in range(energy_rows.shape[1]):
-                        energy += energy_rows[b, y, image]
-                    energy_out[b, image] = energy
 
     return add_rows
 
 
 def motion_correlation(
-    images_inout, clip: float, radius: int, found_out, rows_out, energy_rows_out, correlation_out, energy_out
+    images_inout,
+    quiet,
+    clip: float,
+    radius: int,
+    found_out,
+    rows_out,
+    energy_rows_out,
+    busy_out,
+    correlation_out,
+    energy_out,
 ) -> None:
-    """Launch the three passes; clips the images in place, overwrites the rest."""
+    """Launch the four passes; clips the images in place, overwrites the rest."""
     dtype = float_of(images_inout)
     launch(make_clip_rows(dtype), clip, images_inout, energy_rows_out)
-    launch(make_correlate_rows(dtype), images_inout, radius, found_out, rows_out)
-    launch(make_add_rows(dtype), rows_out, energy_rows_out, correlation_out, energy_out)
+    launch(make_judge_pairs(dtype), energy_rows_out, quiet, busy_out, energy_out)
+    launch(make_correlate_rows(dtype), images_inout, busy_out, radius, found_out, rows_out)
+    launch(make_add_rows(dtype), rows_out, busy_out, correlation_out)
 
 
 @cache

@@ -4,8 +4,11 @@
     energy(b, i)         = sum of the squares of image i
 
 with both images clipped to +- clip: a pixel that fires all the time is no structure.  Images of events are
-mostly empty, so a row of ``first`` visits only its non-zero pixels.  Each row owns its sums; a second pass
+mostly empty, so a row of ``first`` visits only its non-zero pixels.  Each row owns its sums; a last pass
 adds the rows up, so the result does not depend on the order of the threads.
+
+Of a pair whose squares, before clipping, sum up to what is told to be quiet nothing more is done: of counts
+of noise they sum up to the number of events, of anything with a shape to more or less.
 
 ``surface_peak`` finds the highest point of such a surface c, blurred by a window of half width h,
 
@@ -45,9 +48,11 @@ def make_clip_rows(dtype: type, block: int) -> wp.Kernel:
         width = images_inout.shape[3]
         whole = width - width % block
         energy = dtype(0.0)
+        before = dtype(0.0)
         for x in range(0, whole, block):
             pixels = blocks[b, i, y, x]
             squares = wp.dot(pixels, pixels)
+            before += squares
             if squares > clip * clip:  # else none of them is beyond
                 for p in range(block):
                     value = images_inout[b, i, y, x + p]
@@ -56,12 +61,41 @@ def make_clip_rows(dtype: type, block: int) -> wp.Kernel:
                         squares += clip * clip - value * value
             energy += squares
         for x in range(whole, width):
-            value = wp.clamp(images_inout[b, i, y, x], -clip, clip)
+            value = images_inout[b, i, y, x]
+            before += value * value
+            value = wp.clamp(value, -clip, clip)
             images_inout[b, i, y, x] = value
             energy += value * value
         energy_rows_out[b, y, i] = energy
+        energy_rows_out[b, y, 2 + i] = before
 
     return clip_rows
+
+
+@cache
+def make_judge_pairs(dtype: type) -> wp.Kernel:
+    """Build the choice of what is worth while; launch: one thread per pair."""
+
+    @wp.kernel(module=module_of("motion", dtype))
+    def judge_pairs(
+        energy_rows: wp.array3d(dtype=dtype),
+        quiet: wp.array2d(dtype=dtype),
+        busy_out: wp.array(dtype=wp.int32),
+        energy_out: wp.array2d(dtype=dtype),
+    ):
+        b = wp.tid()
+        first = dtype(0.0)
+        second = dtype(0.0)
+        before = dtype(0.0)
+        for y in range(energy_rows.shape[1]):
+            first += energy_rows[b, y, 0]
+            second += energy_rows[b, y, 1]
+            before += energy_rows[b, y, 2] + energy_rows[b, y, 3]
+        energy_out[b, 0] = first
+        energy_out[b, 1] = second
+        busy_out[b] = wp.where(before < quiet[b, 0] or before > quiet[b, 1], 1, 0)
+
+    return judge_pairs
 
 
 @cache
@@ -74,12 +108,15 @@ def make_correlate_rows(dtype: type, block: int, rows: int) -> wp.Kernel:
     def correlate_rows(
         images: wp.array4d(dtype=dtype),
         blocks: wp.array4d(dtype=vec_block),
+        busy: wp.array(dtype=wp.int32),
         radius: int,
         found_out: wp.array3d(dtype=wp.int32),
         rows_out: wp.array4d(dtype=dtype),
         row_blocks_out: wp.array4d(dtype=vec_block),
     ):
         b, y = wp.tid()
+        if busy[b] == 0:
+            return
         height = images.shape[2]
         width = images.shape[3]
         shifts = 2 * radius + 1
@@ -135,31 +172,33 @@ def make_add_rows(dtype: type, block: int) -> wp.Kernel:
     @wp.kernel(module=module_of(f"motion_{block}", dtype))
     def add_rows(
         row_blocks: wp.array4d(dtype=vec_block),
-        energy_rows: wp.array3d(dtype=dtype),
+        busy: wp.array(dtype=wp.int32),
         correlation_out: wp.array3d(dtype=dtype),
-        energy_out: wp.array2d(dtype=dtype),
     ):
         b, j, k = wp.tid()
         total = vec_block()
-        for y in range(row_blocks.shape[1]):
+        for y in range(row_blocks.shape[1] * busy[b]):
             total += row_blocks[b, y, j, block * k]
         shifts = correlation_out.shape[2]
         for i in range(wp.min(block, shifts - block * k)):
             correlation_out[b, j, block * k + i] = total[i]
-        if j == 0 and k == 0:
-            for image in range(2):
-                energy = dtype(0.0)
-                for y in range(energy_rows.shape[1]):
-                    energy += energy_rows[b, y, image]
-                energy_out[b, image] = energy
 
     return add_rows
 
 
 def motion_correlation(
-    images_inout, clip: float, radius: int, found_out, rows_out, energy_rows_out, correlation_out, energy_out
+    images_inout,
+    quiet,
+    clip: float,
+    radius: int,
+    found_out,
+    rows_out,
+    energy_rows_out,
+    busy_out,
+    correlation_out,
+    energy_out,
 ) -> None:
-    """Launch the three passes; clips the images in place, overwrites the rest."""
+    """Launch the four passes; clips the images in place, overwrites the rest."""
     dtype, device = images_inout.dtype, images_inout.device
     batch, _, height, _ = images_inout.shape
     chosen = variant("motion_correlation", device)
@@ -173,17 +212,24 @@ def motion_correlation(
         device=device,
     )
     launch(
+        make_judge_pairs(dtype),
+        batch,
+        inputs=[energy_rows_out, quiet],
+        outputs=[busy_out, energy_out],
+        device=device,
+    )
+    launch(
         make_correlate_rows(dtype, block, chosen.rows),
         (batch, height),
-        inputs=[images_inout, blocks, radius],
+        inputs=[images_inout, blocks, busy_out, radius],
         outputs=[found_out, rows_out, row_blocks],
         device=device,
     )
     launch(
         make_add_rows(dtype, block),
         (batch, correlation_out.shape[1], rows_out.shape[3] // block),
-        inputs=[row_blocks, energy_rows_out],
-        outputs=[correlation_out, energy_out],
+        inputs=[row_blocks, busy_out],
+        outputs=[correlation_out],
         device=device,
     )
 

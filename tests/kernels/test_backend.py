@@ -272,9 +272,9 @@ def test_a_call_of_no_operation_is_refused():
 
 def test_scratch_is_of_the_backends_tile():
     made = get_backend("numpy")
-    found, rows, energies = make_scratch(made, "cpu", "motion_correlation", B=2, Y=7, X=9, radius=3)
-    assert (found.shape, rows.shape, energies.shape) == ((2, 7, 9), (2, 7, 7, 16), (2, 7, 2))
-    assert (found.dtype, rows.dtype) == (np.int32, np.float32)
+    made_of = make_scratch(made, "cpu", "motion_correlation", B=2, Y=7, X=9, radius=3)
+    assert [array.shape for array in made_of] == [(2, 7, 9), (2, 7, 7, 16), (2, 7, 4), (2,)]
+    assert [array.dtype for array in made_of] == [np.int32, np.float32, np.float32, np.int32]
     with pytest.raises(TypeError, match="radius must be given: rows_out of motion_correlation depends on it"):
         make_scratch(made, "cpu", "motion_correlation", B=2, Y=7, X=9)
 

@@ -25,6 +25,17 @@ def test_correlation_peaks_at_the_displacement(dx, dy):
     np.testing.assert_allclose(surface.max(), energy[0], rtol=1e-12)
 
 
+def test_a_quiet_pair_is_not_correlated():
+    images = np.random.default_rng(5).normal(size=(3, 2, 20, 30))
+    energies = (images**2).sum(axis=(1, 2, 3))
+    quiet = energies[:, None] + np.array([[-1.0, 1.0], [0.5, 1.0], [-1.0, -0.5]])
+    surfaces, energy = evqr_kernels.motion_correlation(images, quiet, radius=2, clip=10.0)
+    every, _ = evqr_kernels.motion_correlation(images, radius=2, clip=10.0)
+    assert (surfaces[0] == 0.0).all()
+    np.testing.assert_array_equal(surfaces[1:], every[1:])
+    np.testing.assert_allclose(energy.sum(axis=1), energies, rtol=1e-12)
+
+
 def test_a_hot_pixel_counts_as_much_as_the_clip():
     images = np.zeros((1, 2, 20, 40))
     images[0, :, 10, 20] = 1000.0

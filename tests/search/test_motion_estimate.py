@@ -10,7 +10,13 @@ from evqr.events.buffer import EventBuffer
 from evqr.events.window import Window, make_window
 from evqr.motion import Motion
 from evqr.reason import Reason
-from evqr.search.motion_estimate import MotionEstimate, estimate_motion, estimate_motions, find_motion
+from evqr.search.motion_estimate import (
+    MotionEstimate,
+    QuietSpells,
+    estimate_motion,
+    estimate_motions,
+    find_motion,
+)
 from evqr.workspace import Workspace
 from evqr_kernels.registry import get_backend
 
@@ -201,6 +207,34 @@ def test_some_of_the_events_are_enough_and_all_are_taken_where_they_are_not(work
     assert_close(estimate_motion(hidden_window, few, workspace=workspace), velocity)
     (hasty,) = estimate_motions([hidden_window], few, workspace=workspace, thorough=False)
     assert hasty != estimate_motion(hidden_window, CONFIG, workspace=workspace)
+
+
+def test_pixels_that_fire_once_show_a_motion_too(workspace):
+    """Counts of such pixels are spread as those of noise are, though what they show is not."""
+    made, velocity = small(direction=50.0, preset="fast")
+    window = window_of(made)
+    e, late = window.events, window.t >= 0.0
+    _, first = np.unique(e.x + 1000 * (e.y + 1000 * late.astype(np.int64)), return_index=True)
+    once = np.zeros(len(window), bool)
+    once[first] = True
+    (found,) = estimate_motions([window.keep(once)], CONFIG, workspace=workspace, thorough=False)
+    assert_close(found, velocity)
+
+
+def test_long_windows_that_showed_nothing_are_not_looked_at_again_soon(workspace):
+    events = noise(60_000, 120_000)
+    buffer, quiet = EventBuffer.of(events), QuietSpells()
+    asked = []
+    for start in (0, 2_000, 4_000, 3_000, 12_500, 1_000):
+        asking = find_motion(start, CONFIG, workspace=workspace, quiet=quiet)
+        bounds, lengths = next(asking), []
+        with pytest.raises(StopIteration):
+            while True:
+                lengths.append((bounds[1] - bounds[0]) // 1000)
+                bounds = asking.send(buffer.window(*bounds))
+        asked.append(lengths)
+    every = [1, 4, 16, 50]
+    assert asked == [every, [1, 4], [1, 4, 16], [1, 4, 16], every, every]
 
 
 def test_an_answer_is_the_same_every_time(workspace):

@@ -120,7 +120,7 @@ class Scripted:
     def window_us(self, motion):
         return 100
 
-    def motion_at(self, start_us, *, guess=None):
+    def motion_at(self, start_us, *, guess=None, quiet=None):
         self.searches += 1
         yield start_us, start_us + (100 if self.searches == 1 else 30_000)
         return MotionEstimate(self.motion, 0.5) if self.searches == 1 else NotFound(Reason.NOTHING_MOVES)
