@@ -6,10 +6,7 @@ import functools
 import json
 import shutil
 import sys
-from importlib import metadata
 from pathlib import Path
-from urllib.parse import urlsplit
-from urllib.request import url2pathname
 
 DISTRIBUTION = "evqr"
 
@@ -28,6 +25,11 @@ def install_command(extra: str = "") -> str:
     command : str
         For a shell.
     """
+    # here: they take several times as long to import as all of evqr_kernels
+    from importlib import metadata
+    from urllib.parse import urlsplit
+    from urllib.request import url2pathname
+
     extras = f"[{extra}]" if extra else ""
     try:
         origin = json.loads(metadata.distribution(DISTRIBUTION).read_text("direct_url.json") or "{}")

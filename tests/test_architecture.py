@@ -135,3 +135,19 @@ def test_the_reader_loads_without_the_paper():
     )
     run = subprocess.run([sys.executable, "-c", script], capture_output=True, text=True, check=True)
     assert run.stdout.strip() == "[]"
+
+
+def test_the_reader_loads_nothing_that_takes_long_before_it_is_needed():
+    slow = (
+        "warp",
+        "h5py",
+        "segno",
+        "zxingcpp",
+        "ssl",
+        "email.message",
+        "importlib.metadata",
+        "urllib.request",
+    )
+    script = f"import sys, numpy, evqr.offline; print([name for name in {slow} if name in sys.modules])"
+    run = subprocess.run([sys.executable, "-c", script], capture_output=True, text=True, check=True)
+    assert run.stdout.strip() == "[]"

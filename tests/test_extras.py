@@ -1,6 +1,7 @@
 """Commands in messages install what is missing, however this copy of evqr came to be here."""
 
 import json
+from importlib import metadata
 
 import pytest
 
@@ -31,7 +32,7 @@ class Distribution:
     ids=["index", "clone", "folder", "git", "archive"],
 )
 def test_the_command_is_of_the_same_origin(monkeypatch, origin, command):
-    monkeypatch.setattr(extras.metadata, "distribution", lambda name: Distribution(origin))
+    monkeypatch.setattr(metadata, "distribution", lambda name: Distribution(origin))
     monkeypatch.setattr(extras, "_pip", lambda: "pip")
     extras.install_command.cache_clear()
     assert extras.install_command("plot") == f"pip install {command}"

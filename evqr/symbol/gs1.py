@@ -11,9 +11,7 @@ from evqr_kernels.extras import install_command
 SEPARATOR = "\x1d"
 """Ends an element of no fixed length; FNC1 in the symbol."""
 
-NOT_INSTALLED = (
-    "the elements of GS1 codes are not told apart: that needs the package biip: " + install_command("gs1")
-)
+NOT_INSTALLED = "the elements of GS1 codes are not told apart: that needs the package biip"
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -58,7 +56,7 @@ def elements_of(message: str) -> tuple[tuple[Gs1Element, ...], str]:
         from biip import ParseConfig, ParseError
         from biip.gs1_messages import GS1Message
     except ImportError:
-        return (), NOT_INSTALLED
+        return (), f"{NOT_INSTALLED}: {install_command('gs1')}"
     # dates that are none are the printer's business: the element is told as it is
     config = ParseConfig(gs1_element_strings_verify_date=False, separator_chars=(SEPARATOR,))
     try:

@@ -34,6 +34,8 @@ HEAVY = (
     "evqr_kernels.warp_backend",
     "evqr_kernels.numpy_backend",
     "evqr_kernels.taichi_backend",
+    "importlib.metadata",
+    "urllib.request",
 )
 
 
