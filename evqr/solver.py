@@ -18,7 +18,7 @@ from evqr.events.buffer import Asking
 from evqr.events.window import Window
 from evqr.fit.detection import NO_LAG, Detection, NotFound
 from evqr.fit.measure import measure
-from evqr.fit.modules import CodeEstimate, NormalEquations, solve_modules
+from evqr.fit.modules import CodeEstimate, NormalEquations, solve_modules, weight_of
 from evqr.fit.refine import complete, refine
 from evqr.fit.region import region_around
 from evqr.launched import LAUNCHED
@@ -29,6 +29,7 @@ from evqr.search.hypothesis import Layout
 from evqr.search.motion_estimate import MotionEstimate, QuietSpells, estimate_motion, find_motion
 from evqr.search.passes import search_passes
 from evqr.search.screen import batches, screen
+from evqr.values import FrozenDict
 from evqr.workspace import Workspace
 
 
@@ -232,7 +233,7 @@ class Solver:
             ]
             regions = [region_around(target.pose, target.space, one) for target in targets]
             measured = measure(batch, targets, regions, self.config, workspace=self.workspace)
-        timings_ms = {stage: ms / len(targets) for stage, ms in clock.ms.items()}
+        timings_ms = FrozenDict({stage: ms / len(targets) for stage, ms in clock.ms.items()})
         found: list[Detection | NotFound] = []
         for k, score in enumerate(measured.alignment.score.tolist()):
             if score < one.min_score:
@@ -255,8 +256,9 @@ class Solver:
         estimates : list of CodeEstimate
             Of all modules of each.  None depends on the others.
         """
-        equations = [each.weighted if isinstance(each, Detection) else each for each in found]
-        return solve_modules(equations, self.config.modules, workspace=self.workspace)
+        equations = [each.equations if isinstance(each, Detection) else each for each in found]
+        weights = [weight_of(each.noise) if isinstance(each, Detection) else 1.0 for each in found]
+        return solve_modules(equations, self.config.modules, workspace=self.workspace, weights=weights)
 
 
 def _timed(found: MotionEstimate | Reason, clock: StageClock) -> MotionEstimate | NotFound:

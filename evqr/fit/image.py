@@ -131,9 +131,10 @@ def depositing(
     """
     events = workspace.events(batch)
     count = count_for(len(regions))
-    height, width = (max(sides) for sides in zip(*((r.height, r.width) for r in regions), strict=True))
+    height, width = regions[0].height, regions[0].width
     if count > 1:
-        height, width = (-(-side // COARSE_GRAIN) * COARSE_GRAIN for side in (height, width))
+        height = -(-max(region.height for region in regions) // COARSE_GRAIN) * COARSE_GRAIN
+        width = -(-max(region.width for region in regions) // COARSE_GRAIN) * COARSE_GRAIN
     step = workspace.once(
         ("deposit", count, height, width, events.capacity),
         lambda: Deposit(events, count, height, width, workspace),

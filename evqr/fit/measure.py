@@ -11,7 +11,6 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
 from evqr.config import ReadConfig
 from evqr.events.batch import EventBatch
@@ -20,8 +19,7 @@ from evqr.fit.detection import NO_TIMINGS, Detection, Target
 from evqr.fit.image import Deposit, Sharpen, depositing
 from evqr.fit.modules import Equations, NormalEquations
 from evqr.fit.region import Region
-from evqr.fit.tables import Codes, ModuleTables, PoseTables, room_for
-from evqr.geometry import compose
+from evqr.fit.tables import Codes, ModuleTables, PoseTables
 from evqr.workspace import Step, Workspace
 
 
@@ -51,7 +49,7 @@ class Measurements:
         """Give what one window says in px of the sensor, after so many iterations before."""
         found = self.alignment
         return Detection(
-            target=Target(target.space, in_px(found.pose[k], region), target.motion, target.tau_us),
+            target=Target(target.space, region.in_px(found.pose[k]), target.motion, target.tau_us),
             gain=found.gain[k],
             score=float(found.score[k]),
             noise=float(found.noise[k]),
@@ -59,12 +57,6 @@ class Measurements:
             iterations=iterations + int(found.iterations[k]),
             timings_ms=timings_ms,
         )
-
-
-def in_px(pose: NDArray[np.float64], region: Region) -> NDArray[np.float64]:
-    """Give a pose (3, 3) in cells of a region in px of the sensor."""
-    pose = compose(region.to_px, pose)
-    return pose / pose[2, 2]
 
 
 class Measure(Step):
@@ -88,9 +80,7 @@ class Measure(Step):
         self.sharpen.write(
             [target.motion for target in targets], regions, [target.lag_px for target in targets]
         )
-        start = [
-            compose(region.from_px, target.pose) for target, region in zip(targets, regions, strict=True)
-        ]
+        start = [region.in_cells(target.pose) for target, region in zip(targets, regions, strict=True)]
         self._spaces = [target.space for target in targets]
         self.align.write(np.array(start), np.arange(len(targets), dtype=np.int32), numbers)
 
@@ -147,7 +137,7 @@ def measuring(
     codes, (level,) = Codes.of(workspace), fine_levels(cfg.align)
     numbers = [codes.number(space) for space in spaces]
     poses, modules = codes.poses(level, cfg.align, numbers), codes.modules(cfg.modules, numbers)
-    room = room_for(spaces)
+    room = codes.room(numbers)
     step = deposit.once(
         ("measure", from_events, room, poses.version, modules.version, cfg.align, cfg.modules),
         lambda: Measure(deposit, from_events, poses, modules, room, cfg, workspace),

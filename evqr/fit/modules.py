@@ -24,13 +24,18 @@ from evqr.config import ModulesConfig
 from evqr.fit.align import Align
 from evqr.fit.image import count_for
 from evqr.fit.model import profiles, quiet_modules
-from evqr.fit.tables import REACH, Codes, ModuleTables, room_for
+from evqr.fit.tables import REACH, Codes, ModuleTables
 from evqr.symbol.space import CodeSpace
 from evqr.values import Value
 from evqr.workspace import Images, Step, Workspace
 
 SUPPORT = 5
 """Modules that a module's blurred profile is sampled over."""
+
+
+def weight_of(noise: float) -> float:
+    """Give the weight of what was seen with a noise of that variance a sample."""
+    return 1.0 / max(noise, 1e-12)
 
 
 @dataclass(frozen=True, eq=False)
@@ -74,7 +79,7 @@ class NormalEquations(Value):
         equations : NormalEquations
             In units of their noise.
         """
-        return self.scaled(1.0 / max(noise, 1e-12))
+        return self.scaled(weight_of(noise))
 
     def scaled(self, weight: float) -> NormalEquations:
         """Give the same equations with a weight.
@@ -192,21 +197,23 @@ class Solution(Step):
         self._iterations = [workspace.mirror((count,), np.int32) for _ in range(cfg.passes)]
         self._unclear = workspace.empty(count, room[0], dtype=np.int32)
 
-    def write(self, equations: Sequence[NormalEquations], numbers: Sequence[int]) -> None:
-        """Say what was seen, and of which codes."""
+    def write(
+        self, equations: Sequence[NormalEquations], numbers: Sequence[int], weights: Sequence[float]
+    ) -> None:
+        """Say what was seen, of which codes, and how much it counts against what is known before."""
         least, most = self._cfg.damping_range
         seen, q, stencil, damping = (m.host for m in (self._seen, self._q, self._stencil, self._damping))
         numbers = [*numbers, *[0] * (len(self._numbers) - len(numbers))]
         for k, number in enumerate(numbers):
             if number != self._numbers[k]:
                 seen[k] = q[k] = 0.0
-        for k, each in enumerate(equations):
+        for k, (each, weight) in enumerate(zip(equations, weights, strict=True)):
             # one overall scale: float32 on the device, and many windows add up
             peak = float(each.stencil[REACH, REACH]) or 1.0
             rows, columns = each.rhs.shape
             np.multiply(each.rhs, 1.0 / peak, out=seen[k, :rows, :columns], casting="unsafe")
             np.multiply(each.stencil, 1.0 / peak, out=stencil[k], casting="unsafe")
-            damping[k] = min(max(self._cfg.damping / peak, least), most)
+            damping[k] = min(max(self._cfg.damping / (weight * peak), least), most)
             q[k, :rows, :columns] = self._tables.start[numbers[k]]
         for mirror in (self._seen, self._q, self._stencil, self._damping):
             mirror.push()
@@ -240,18 +247,24 @@ class Solution(Step):
 
 
 def solve_modules(
-    equations: Sequence[NormalEquations], cfg: ModulesConfig, *, workspace: Workspace
+    equations: Sequence[NormalEquations],
+    cfg: ModulesConfig,
+    *,
+    workspace: Workspace,
+    weights: Sequence[float] | None = None,
 ) -> list[CodeEstimate]:
     """Solve for the unknown modules of codes, with function patterns and quiet zone fixed.
 
     Parameters
     ----------
     equations : sequence of NormalEquations
-        Weighted by one over the variance of the noise; of any codes.
+        Of any codes.
     cfg : ModulesConfig
         Settings.
     workspace : Workspace
         Buffers.
+    weights : sequence of float
+        Of each, one over the variance of its noise; default 1, as of equations that are weighted already.
 
     Returns
     -------
@@ -262,11 +275,11 @@ def solve_modules(
         return []
     codes, spaces = Codes.of(workspace), [each.space for each in equations]
     numbers = [codes.number(space) for space in spaces]
-    tables, room, count = codes.modules(cfg, numbers), room_for(spaces), count_for(len(spaces))
+    tables, room, count = codes.modules(cfg, numbers), codes.room(numbers), count_for(len(spaces))
     step = workspace.once(
         ("solution", cfg, count, room, tables.version),
         lambda: Solution(count, tables, room, cfg, workspace),
     )
-    step.write(equations, numbers)
+    step.write(equations, numbers, weights or [1.0] * len(equations))
     step.run()
     return step.read(spaces)

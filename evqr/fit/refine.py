@@ -16,9 +16,8 @@ from evqr.fit.align import escape_side_minimum
 from evqr.fit.detection import NO_LAG, Detection, Target
 from evqr.fit.image import depositing
 from evqr.fit.lag import estimate_lags
-from evqr.fit.measure import in_px, measure, measuring
+from evqr.fit.measure import measure, measuring
 from evqr.fit.region import Region, region_around
-from evqr.geometry import compose
 from evqr.motion import Motion
 from evqr.symbol.space import CodeSpace
 from evqr.workspace import Workspace
@@ -219,12 +218,12 @@ def _with_lags(
     deposit, fresh = depositing(batch, [target.motion for target in targets], regions, workspace=workspace)
     if fresh:
         deposit.run()
-    pose = np.array([compose(each.region.from_px, each.detection.pose) for each in found])
+    pose = np.array([each.region.in_cells(each.detection.pose) for each in found])
     lags_px, aligned = estimate_lags(deposit, targets, regions, pose, cfg, workspace=workspace)
     return [
         replace(
             each.target,
-            pose=in_px(aligned.pose[k], each.region),
+            pose=each.region.in_px(aligned.pose[k]),
             tau_us=each.target.motion.tau_us((on, off)),
         )
         for k, (each, (on, off)) in enumerate(zip(found, lags_px.tolist(), strict=True))

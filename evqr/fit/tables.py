@@ -70,6 +70,7 @@ class Codes:
         self._workspace = workspace
         self._spaces: list[CodeSpace | None] = [None]
         self._numbers: dict[CodeSpace, int] = {}
+        self._rooms: dict[frozenset[int], tuple[int, int]] = {}
 
     @classmethod
     def of(cls, workspace: Workspace) -> Codes:
@@ -90,6 +91,15 @@ class Codes:
         space = self._spaces[number]
         assert space is not None
         return space
+
+    def room(self, numbers: Iterable[int]) -> tuple[int, int]:
+        """Give rows and columns of arrays in which any of some codes lie: see `room_for`."""
+        which = frozenset(numbers)
+        try:
+            return self._rooms[which]
+        except KeyError:
+            self._rooms[which] = room_for([self.space(number) for number in which])
+            return self._rooms[which]
 
     def poses(self, level: Level, cfg: AlignConfig, numbers: Iterable[int]) -> PoseTables:
         """Give the tables of one level, with some codes in them."""

@@ -52,7 +52,7 @@ def solving(step, equations, workspace):
     number = codes.number(SPACE)
     tables = codes.modules(cfg, [number])
     solution = Solution(1, tables, room, cfg, workspace)
-    solution.write([equations], [number])
+    solution.write([equations], [number], [1.0])
     solution._damping.write(DAMPING * equations.stencil[REACH, REACH])
     profile, slope, _ = profiles((np.arange(SUPPORT * samples) + 0.5) / samples - SUPPORT // 2, one.sigma)
     profile, slope = (workspace.put(f.astype(np.float32)) for f in (profile, slope))
