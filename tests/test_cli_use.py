@@ -116,6 +116,16 @@ def test_what_stops_everything_is_a_json_line_too(capsys, recording, monkeypatch
     )  # fmt: skip
 
 
+def test_info_of_what_cannot_be_read_is_a_json_line_too(capsys):
+    status, out, err = run(capsys, "info", "nowhere.h5", "--json")
+    (record,) = map(json.loads, out)
+    assert (status, len(err)) == (2, 1)
+    assert (record["path"], record["status"], record["reason_code"]) == (
+        "nowhere.h5", "error", "source_error",
+    )  # fmt: skip
+    assert record["reason"] == err[0].removeprefix("evqr: ")
+
+
 def test_simulate_writes_over_nothing_unasked(capsys, tmp_path):
     path = tmp_path / "a.h5"
     path.write_text("mine")

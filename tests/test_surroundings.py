@@ -277,7 +277,7 @@ def test_what_a_directory_that_cannot_be_written_holds_is_used(cache, monkeypatc
     module, _ = small_module("half")
     cache.load_module(module, "cpu")
     kept = cache.directory()
-    monkeypatch.setattr(cache, "_why_not_writable", lambda place: OSError(30, "Read-only file system"))
+    monkeypatch.setattr(cache, "why_not_writable", lambda place: OSError(30, "Read-only file system"))
     assert cache.is_compiled(module, "cpu") and cache.directory() == kept
     other, _ = small_module("other_half")
     assert not cache.is_compiled(other, "cpu")
@@ -292,7 +292,7 @@ def test_nowhere_to_keep_kernels_is_one_line(cache, monkeypatch, tmp_path):
     module, _ = small_module("nowhere")
     (tmp_path / "file").touch()
     wp.config.kernel_cache_dir = str(tmp_path / "file" / "nowhere")
-    monkeypatch.setattr(cache, "_own_directory", lambda: os.mkdir(tmp_path / "no" / "where"))
+    monkeypatch.setattr(cache, "own_directory", lambda: os.mkdir(tmp_path / "no" / "where"))
     with pytest.raises(BackendError, match="set WARP_CACHE_PATH") as raised, kernels_failing():
         cache.load_module(module, "cpu")
     assert str(raised.value).count("\n") == 0 and "nor among temporary files" in str(raised.value)

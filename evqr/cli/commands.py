@@ -16,12 +16,13 @@ from evqr.cli.options import (
     VersionType,
     backend_options,
     examples,
+    in_options,
     note,
     progress_bar,
     recording_options,
     share_bar,
 )
-from evqr.errors import MissingExtra, StreamChoice, UsageError
+from evqr.errors import EvqrError, MissingExtra, StreamChoice, UsageError
 from evqr.output import records
 from evqr.values import json_line
 
@@ -65,6 +66,11 @@ def info(recording: Path, as_json: bool, opening: RecordingOptions, picture: Pat
         record = {"path": str(recording), "streams": list(choice.streams)}
         click.echo(json_line(record) if as_json else records.streams_text(choice.streams))
         return OK
+    except EvqrError as error:
+        if as_json:
+            said = {"status": "error", "reason": in_options(str(error)), "reason_code": error.reason}
+            click.echo(json_line({"path": str(recording), **said}))
+        raise
     click.echo(json_line(records.info_record(found)) if as_json else records.info_text(found))
     return OK
 

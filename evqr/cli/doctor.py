@@ -84,7 +84,9 @@ def _computing(backend: str, device: str) -> Iterator[tuple[str, Any]]:
     options.prepare(backend, device)
     place = cache_of(kernels)
     if place:
-        yield "kernels", {"directory": place, "megabytes": round(_size(place) / 1e6, 1)}
+        variable = "TI_OFFLINE_CACHE_FILE_PATH" if kernels.name == "taichi" else "WARP_CACHE_PATH"
+        megabytes = round(_size(place) / 1e6, 1)
+        yield "kernels", {"directory": place, "megabytes": megabytes, "variable": variable}
 
 
 def _demo(backend: str, device: str, threads: int | None) -> dict[str, Any]:
@@ -143,7 +145,7 @@ def _lines(name: str, value: Any) -> Iterator[str]:
         yield f"{label}{value['name']} on {value['device']}; devices: {', '.join(value['devices'])}"
     elif name == "kernels":
         yield f"{label}compiled ones are kept in {value['directory']} ({value['megabytes']} MB)"
-        yield " " * 16 + "WARP_CACHE_PATH names another directory; it may be deleted"
+        yield " " * 16 + f"{value['variable']} names another directory; it may be deleted"
     elif name == "demo":
         read = f"read in {value['milliseconds']} ms: {', '.join(value['texts'])}" if value["read"] else ""
         yield label + (read or f"NOT READ: {value['reason']}")

@@ -107,6 +107,10 @@ class TaichiBackend(Launchers):
                     compile_kernel(kernel)
                     self._loaded[kernel] = None
 
+    def cache_dir(self) -> str:
+        """Where compiled kernels are kept."""
+        return runtime.cache_dir()
+
     def _kernels(self, device: str, calls: Calls) -> list[Any]:
         """List what calls launch."""
         runtime.require(device)

@@ -6,12 +6,21 @@ It is never replaced: that would make the user's arrays, and ours, unreadable.
 
 import contextlib
 import io
+import logging
+import os
 from functools import cache
 
+from evqr_kernels.errors import BackendUnavailable
 from evqr_kernels.native_output import without_lines
+from evqr_kernels.own_directory import own_directory, why_not_writable
 from evqr_kernels.taichi_backend.language import environment, ti
 from evqr_kernels.taichi_backend.launches import LOCK, compile_kernel
 from evqr_kernels.taichi_backend.sums import make_add_partials
+
+PLACE = "TI_OFFLINE_CACHE_FILE_PATH"
+"""The environment variable that says where Taichi keeps compiled kernels."""
+
+_log = logging.getLogger(__name__)
 
 _DEVICES = {"cpu": "cpu", "cuda:0": "cuda", "vulkan": "vulkan", "metal": "metal"}
 """What Taichi calls a device."""
@@ -72,6 +81,37 @@ def has_float64(device: str) -> bool:
     return True
 
 
+@cache
+def cache_dir() -> str:
+    """Give the directory where Taichi keeps compiled kernels, another than its own where that is read-only.
+
+    Raises
+    ------
+    BackendUnavailable
+        There is none that can be written: Taichi would end in a crash.
+    """
+    wanted = os.environ.get(PLACE) or os.path.expanduser("~/.cache/taichi/ticache")
+    with contextlib.suppress(OSError):
+        os.makedirs(wanted, exist_ok=True)
+    why = why_not_writable(wanted)
+    if why is None:
+        return wanted
+    advice = f"set {PLACE} to a directory that can be written"
+    try:
+        place = os.path.join(own_directory(), "taichi")
+        os.makedirs(place, exist_ok=True)
+    except OSError as error:
+        raise BackendUnavailable(
+            f"compiled kernels of Taichi cannot be kept in {wanted} ({why.strerror or why}), nor among"
+            f" temporary files; {advice}"
+        ) from error
+    _log.warning(
+        "%s cannot be written (%s): compiled kernels of Taichi are kept in %s; to keep them, %s",
+        wanted, why.strerror or why, place, advice,
+    )  # fmt: skip
+    return place
+
+
 def _start(device: str) -> None:
     if device not in devices():
         raise ValueError(f"device of taichi must be one of {', '.join(devices())}, got {device!r}")
@@ -81,6 +121,7 @@ def _start(device: str) -> None:
             enable_fallback=False,
             fast_math=False,  # which takes for granted that no coordinate is NaN
             offline_cache=True,
+            offline_cache_file_path=cache_dir(),
             log_level=ti.WARN,
             unrolling_limit=0,  # no warning of a wide splat's many taps
         )

@@ -6,14 +6,13 @@ What cannot be loaded from there, since a file was cut short, is compiled again.
 import logging
 import os
 import shutil
-import stat
-import tempfile
 import threading
 
 import warp as wp
 
 from evqr_kernels.errors import BackendUnavailable
 from evqr_kernels.native_output import without_lines
+from evqr_kernels.own_directory import own_directory, why_not_writable
 
 _log = logging.getLogger(__name__)
 _lock = threading.RLock()
@@ -57,7 +56,7 @@ def is_compiled(module: wp.Module, device: str) -> bool:
     if os.path.isdir(os.path.join(directory(), name)):
         return True
     with _lock:
-        reason = _why_not_writable(directory())
+        reason = why_not_writable(directory())
         if reason is None:
             return False
         try:
@@ -90,7 +89,7 @@ def load_module(module: wp.Module, device: str) -> bool:
         return False
     except Exception as error:
         if not there:
-            reason = _why_not_writable(directory())
+            reason = why_not_writable(directory())
             if reason is None:
                 raise  # no fault of the place
             raise BackendUnavailable(_cannot(directory(), reason)) from error
@@ -118,7 +117,7 @@ def _replace(module: wp.Module, device: str) -> None:
 def _another(wanted: str, why: OSError) -> str:
     """Make a place for kernels among temporary files, with what the one that was wanted holds."""
     try:
-        place = _own_directory()
+        place = own_directory()
         where = os.path.join(place, wp.config.version)
         os.makedirs(where, exist_ok=True)
     except OSError as error:
@@ -135,32 +134,6 @@ def _another(wanted: str, why: OSError) -> str:
         wanted, _short(why), where, ELSEWHERE,
     )  # fmt: skip
     return where
-
-
-def _own_directory() -> str:
-    """Make a directory among temporary files that nobody else can write: what is in it is run."""
-    if not hasattr(os, "getuid"):  # temporary files of Windows are the user's own
-        place = os.path.join(tempfile.gettempdir(), "evqr-kernels")
-        os.makedirs(place, exist_ok=True)
-        return place
-    place = os.path.join(tempfile.gettempdir(), f"evqr-kernels-{os.getuid()}")
-    try:
-        os.mkdir(place, 0o700)
-    except FileExistsError:
-        found = os.lstat(place)
-        if not stat.S_ISDIR(found.st_mode) or found.st_uid != os.getuid() or found.st_mode & 0o022:
-            place = tempfile.mkdtemp(prefix="evqr-kernels-")
-    return place
-
-
-def _why_not_writable(place: str) -> OSError | None:
-    """Why a module cannot be kept in a directory; None if it can."""
-    try:
-        with tempfile.TemporaryFile(dir=place) as file:
-            file.write(bytes(1 << 16))
-    except OSError as error:
-        return error
-    return None
 
 
 def _cannot(place: str, why: OSError) -> str:

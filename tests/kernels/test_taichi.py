@@ -246,3 +246,19 @@ with demo_recording() as path:
     print(*(reading.text for reading in read_codes(path, backend="taichi", device="vulkan").readings))
 """
     assert run(code) == "Read in passing, 8 px/ms\n"
+
+
+def test_a_directory_that_cannot_be_written_is_replaced_by_another(monkeypatch, caplog, tmp_path):
+    """Taichi itself would crash at its end."""
+    (tmp_path / "file").touch()
+    monkeypatch.setattr("tempfile.tempdir", str(tmp_path))
+    runtime.cache_dir.cache_clear()
+    try:
+        monkeypatch.setenv(runtime.PLACE, str(tmp_path / "kernels"))
+        assert (runtime.cache_dir(), caplog.text) == (str(tmp_path / "kernels"), "")
+        monkeypatch.setenv(runtime.PLACE, str(tmp_path / "file" / "kernels"))
+        runtime.cache_dir.cache_clear()
+        assert Path(runtime.cache_dir()).parent.parent == tmp_path
+        assert "kernels cannot be written (Not a directory)" in caplog.text
+    finally:
+        runtime.cache_dir.cache_clear()
