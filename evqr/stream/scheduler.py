@@ -93,7 +93,7 @@ class StreamScheduler:
         self._waiting: list[_Waiting] = []
         self._order = itertools.count()
         self._searching: Asking[None] | None = None
-        self._search_us = 0
+        self._search_us = self._in_vain = 0
         self._tracks: list[Track] = []
         self._lost: list[Track] = []
         self._motion: Motion | None = None
@@ -254,8 +254,12 @@ class StreamScheduler:
             self._searches += 1
             self._windows += tried.window is not None
             self._take(tried)
+        in_vain = not isinstance(tries[last].found, Detection)
+        self._in_vain = self._in_vain + 1 if in_vain and self._sure else 0
         motion, start_us = tries[last].motion, tries[last].start_us
         if motion is None:
+            if not self._tracks:  # what comes next may have any speed
+                self._motion = None
             return start_us + self._config.scheduler.unknown_us
         self._motion = motion
         return start_us + self._step_us(motion)
@@ -272,11 +276,15 @@ class StreamScheduler:
         yield at_us, at_us + (len(asking) - 1) * step + most
         return list(self._pool.map(self._events.answer, asking))
 
+    @property
+    def _sure(self) -> bool:
+        """Whether a code is followed that was read."""
+        return any(track.reading is not None for track in self._tracks)
+
     def _step_us(self, motion: Motion) -> int:
         """Time between two searches [us]."""
         cfg = self._config.scheduler
-        sure = any(track.reading is not None for track in self._tracks)
-        travel = self._config.search_px * (cfg.seldom if sure else 1.0)
+        travel = self._config.search_px * (cfg.seldom if self._sure else 1.0)
         step = max(self._solver.window_us(motion), round(motion.travel_time_us(travel)))
         return min(step, cfg.longest_us)
 
@@ -296,7 +304,8 @@ class StreamScheduler:
         if not self._events.reaches(end_us):
             ends = NotFound(Reason.RECORDING_ENDS, closest=-1.0, timings_ms=clock.ms)
             return _Try(at_us, motion, None, ends)
-        found = solver.find(self._outside_tracks(window), motion, tau_us=self._tau_us)
+        thorough = self._in_vain % self._config.scheduler.thorough_every == 0
+        found = solver.find(self._outside_tracks(window), motion, tau_us=self._tau_us, thorough=thorough)
         clock.add(found.timings_ms)
         return _Try(at_us, motion, window, replace(found, timings_ms=clock.ms))
 
