@@ -14,6 +14,7 @@ from __future__ import annotations
 import argparse
 import contextlib
 import functools
+import math
 import sys
 from collections import Counter
 from collections.abc import Callable, Iterator
@@ -30,6 +31,7 @@ from evqr.events.batch import EventBatch
 from evqr.events.window import make_window
 from evqr_kernels import OPERATIONS, get_backend, register_backend
 from evqr_kernels.backend import Calls
+from evqr_kernels.operation import Array
 
 ARCHITECTURE = 90
 
@@ -49,6 +51,31 @@ class Held:
         return Held(self.array.reshape(shape))
 
 
+@dataclass(frozen=True)
+class Launch:
+    """One kernel, as a GPU would be asked to run it.
+
+    Attributes
+    ----------
+    op          operation that it is a part of
+    kernel      Warp's; None: an array is cleared
+    threads     how many
+    given       the operation's arguments by name: shapes of arrays, values of settings
+    n_bytes     of all arrays of the operation
+    """
+
+    op: str
+    kernel: Any
+    threads: int
+    given: tuple[tuple[str, Any], ...]
+    n_bytes: int
+
+    @property
+    def name(self) -> str:
+        """Operation and kernel."""
+        return f"{self.op}.{self.kernel.func.__name__}" if self.kernel else self.op
+
+
 @dataclass
 class Counts:
     """What a device was asked to do.
@@ -60,7 +87,8 @@ class Counts:
     graphs      recorded sequences
     uploads, downloads, up_bytes, down_bytes
                 copies, and what they moved
-    kernels     by operation, recorded or not
+    made        each kernel, recorded or not
+    kernels     by operation
     """
 
     launches: int = 0
@@ -70,7 +98,15 @@ class Counts:
     downloads: int = 0
     up_bytes: int = 0
     down_bytes: int = 0
-    kernels: Counter[str] = field(default_factory=Counter)
+    made: Counter[Launch] = field(default_factory=Counter)
+
+    @property
+    def kernels(self) -> Counter[str]:
+        """Count by operation."""
+        counted: Counter[str] = Counter()
+        for launch, count in self.made.items():
+            counted[launch.op] += count
+        return counted
 
 
 class CountingBackend:
@@ -91,8 +127,8 @@ class CountingBackend:
 
     def __init__(self, over: str = "numpy") -> None:
         self._over = get_backend(over)
-        self._steps: list[tuple[str, int, Callable[[], None]]] | None = None  # while it records
-        self._known: dict[Any, int] = {}
+        self._steps: list[tuple[list[Launch], Callable[[], None]]] | None = None  # while it records
+        self._known: dict[Any, list[Launch]] = {}
         self.counts = Counts()
 
     def __getattr__(self, op: str) -> Callable[..., None]:
@@ -102,29 +138,42 @@ class CountingBackend:
 
         def launch(*arguments: Any, **settings: Any) -> None:
             arrays = [a.array if isinstance(a, Held) else a for a in arguments]
-            count = self._kernels(op, arguments, settings)
-            self._do(op, count, lambda: getattr(self._over, op)(*arrays, **settings))
+            launches = self._launches(op, arguments, settings)
+            self._do(launches, lambda: self._compute(op, arrays, settings))
 
         return launch
 
-    def _do(self, op: str, count: int, step: Callable[[], None]) -> None:
+    def _compute(self, op: str, arrays: list[Any], settings: dict[str, Any]) -> None:
+        getattr(self._over, op)(*arrays, **settings)
+
+    def _do(self, launches: list[Launch], step: Callable[[], None]) -> None:
         if self._steps is not None:
-            self._steps.append((op, count, step))
+            self._steps.append((launches, step))
             return
-        self.counts.launches += count
-        self.counts.kernels[op] += count
+        self.counts.launches += len(launches)
+        self.counts.made.update(launches)
         step()
 
-    def _kernels(self, op: str, arguments: tuple[Any, ...], settings: dict[str, Any]) -> int:
-        """Count what Warp's launcher launches on a GPU for arrays of such shapes."""
+    def _launches(self, op: str, arguments: tuple[Any, ...], settings: dict[str, Any]) -> list[Launch]:
+        """List what Warp's launcher launches on a GPU for arrays of such shapes."""
         operation = OPERATIONS[op].arguments
         key = op, *(a.shape if isinstance(a, Held) else a for a in arguments), *settings.items()
         if key not in self._known:
             given = [
-                _nowhere(a.shape, declared.dtype(np.float32)) if isinstance(a, Held) else a
+                _nowhere(a.shape, declared.dtype(np.float32))
+                if isinstance(a, Held) and isinstance(declared, Array)
+                else a
                 for a, declared in zip(arguments, operation, strict=False)
             ]
-            self._known[key] = len(_launched(op, given, settings))
+            named = tuple(
+                (declared.name, a.shape if isinstance(a, Held) else a)
+                for a, declared in zip(arguments, operation, strict=False)
+            )
+            n_bytes = sum(a.capacity for a in given if hasattr(a, "capacity"))
+            self._known[key] = [
+                Launch(op, kernel, math.prod(np.atleast_1d(threads).tolist()), named, n_bytes)
+                for kernel, threads in _launched(op, given, settings)
+            ]
         return self._known[key]
 
     def devices(self) -> tuple[str, ...]:
@@ -159,7 +208,10 @@ class CountingBackend:
 
     def clear(self, array: Held) -> None:
         """Fill with zeros."""
-        self._do("clear", 1, lambda: self._over.clear(array.array))
+        shape = array.shape
+        n_bytes = math.prod(shape) * np.dtype(np.float32).itemsize
+        cleared = Launch("clear", None, math.prod(shape), (("array", shape),), n_bytes)
+        self._do([cleared], lambda: self._over.clear(array.array))
 
     def record(self, run: Callable[[], None]) -> Callable[[], None]:
         """Note down what is launched."""
@@ -171,9 +223,9 @@ class CountingBackend:
 
         def replay() -> None:
             self.counts.graphs += 1
-            for op, count, step in steps:
-                self.counts.recorded += count
-                self.counts.kernels[op] += count
+            for launches, step in steps:
+                self.counts.recorded += len(launches)
+                self.counts.made.update(launches)
                 step()
 
         return replay
@@ -206,12 +258,12 @@ def _nowhere(shape: tuple[int, ...], dtype: np.dtype[Any]) -> Any:
 
 
 def _launched(op: str, arguments: list[Any], settings: dict[str, Any]) -> list[Any]:
-    """List the kernels that Warp's launcher launches on a GPU."""
+    """List the kernels that Warp's launcher launches on a GPU, and their threads."""
     from evqr_kernels.warp_backend import language
 
     launcher = getattr(get_backend("warp"), op)
     with _as_a_gpu():
-        return language.kernels_of(lambda: launcher(*arguments, **settings))
+        return language.launches_of(lambda: launcher(*arguments, **settings))
 
 
 @contextlib.contextmanager

@@ -18,7 +18,7 @@ class _Recording(threading.local):
     """What this thread records, or lists, instead of launching; None while it does not."""
 
     steps: list[Recorded] | None = None
-    kernels: list[wp.Kernel] | None = None
+    kernels: list[tuple[wp.Kernel, Any]] | None = None
 
 
 _recording = _Recording()
@@ -27,7 +27,7 @@ _recording = _Recording()
 def launch(kernel: wp.Kernel, dim: Any, *, inputs: list[Any], outputs: list[Any], device: wp.Device) -> None:
     """Launch a kernel, or note the launch down while this thread records."""
     if _recording.kernels is not None:
-        _recording.kernels.append(kernel)
+        _recording.kernels.append((kernel, dim))
         return
     noting = _recording.steps is not None
     try:
@@ -69,6 +69,11 @@ def record(run: Callable[[], None]) -> Callable[[], Any]:
 
 def kernels_of(run: Callable[[], None]) -> list[wp.Kernel]:
     """List the kernels that ``run`` launches, launching and compiling nothing."""
+    return [kernel for kernel, _ in launches_of(run)]
+
+
+def launches_of(run: Callable[[], None]) -> list[tuple[wp.Kernel, Any]]:
+    """List the kernels that ``run`` launches, each with its number of threads along each axis."""
     _recording.kernels = kernels = []
     try:
         run()

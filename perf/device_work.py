@@ -1,0 +1,193 @@
+"""How many instructions a thread of each kernel runs: its machine code, with loops as sizes tell.
+
+A table that knows the kernels' sources.  What it does not have is taken for a step an element of its
+operation's arrays, shared out among the threads.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Any
+
+from machine_code import Code
+
+BUSY = 0.06
+"""Pixels of an image that are not empty."""
+
+FOUND = 200
+"""Maxima of a window that are merged."""
+
+
+@dataclass(frozen=True)
+class Sizes:
+    """What the work of a thread depends on.
+
+    Attributes
+    ----------
+    given       arguments of the operation: shapes of arrays, values of settings
+    events      of a window
+    threads     of the launch
+    iterations  that the operation took, the most of any window or pose; None: unknown
+    samples     that alignment took in all of them; None: unknown
+    """
+
+    given: dict[str, Any]
+    events: int
+    threads: int
+    iterations: float | None = None
+    samples: float | None = None
+
+    def of(self, name: str, axis: int = -1) -> int:
+        """Give a size of an array."""
+        return self.given[name][axis]
+
+
+@dataclass(frozen=True)
+class Work:
+    """What a thread runs.
+
+    Attributes
+    ----------
+    around  turns of the loops that have others in them
+    steps   of the innermost loop
+    loads   of global memory that its source has a step; 0: those of a turn
+    """
+
+    around: float
+    steps: float
+    loads: float
+
+
+def _share(s: Sizes) -> float:
+    """Share of the launches of an iteration that have something left to do."""
+    most = s.given["max_iterations"]
+    return 1.0 if s.iterations is None or not most else min(s.iterations / most, 1.0)
+
+
+def _stencil(share: float, s: Sizes) -> Work:
+    columns = share * s.of("rhs")
+    return Work(columns, columns * s.of("stencil") ** 2, 3)
+
+
+def _events(s: Sizes) -> Work:
+    steps = s.events * s.of("window_ptr", 0) / s.threads
+    return Work(steps, steps, 3)
+
+
+def _alignment(s: Sizes) -> Work:
+    turns = 1 + (s.given["max_iterations"] if s.iterations is None else s.iterations)
+    return Work(turns, turns * s.of("points", 0) if s.samples is None else s.samples, 26)
+
+
+def _shifts(s: Sizes) -> Work:
+    """Count a row of the correlation: blocks of four shifts along x, two rows of shifts at a time."""
+    width, blocks = s.of("images_inout"), s.of("rows_out") / 4
+    turns = math.ceil(s.of("rows_out", 2) / 2) * blocks
+    return Work(turns + width / 4, turns * BUSY * width, 10)
+
+
+def _peak(s: Sizes) -> Work:
+    size, taps = s.of("surface"), 2 * s.given["half"] + 1
+    inner = max(size - taps + 1, 1)
+    return Work(size * inner + inner**2, (size * inner + inner**2) * taps, 2)
+
+
+def _merged(s: Sizes) -> Work:
+    found, kept = min(FOUND, s.of("maxima", 1)), s.of("peaks_out", 1)
+    return Work(kept, s.of("maxima", 1) + 2 * kept * found, 3)
+
+
+def _fold(s: Sizes) -> Work:
+    blocks, columns = s.of("samples_out") / 8, s.of("rhs_out") / 8
+    return Work(blocks + columns, (blocks + columns) * s.of("profile"), 10)
+
+
+def _reduced(s: Sizes) -> Work:
+    blocks, rows = s.of("image") / 16, math.ceil(s.given["ratio"]) + 1
+    return Work(blocks + s.of("image_out"), blocks * rows, 16)
+
+
+def _disc(s: Sizes) -> Work:
+    return Work(s.of("spans", 0), math.pi / 4 * s.of("spans", 0) ** 2, 9)
+
+
+WORK: dict[str, Callable[[Sizes], Work]] = {
+    "bin_packed_events.bin_packed_events": _events,
+    "deposit_packed_events.deposit_packed_events": _events,
+    "lag_operator.lag_rows": lambda s: Work(0, s.of("taps"), 10),
+    "lag_operator.lag_columns": lambda s: Work(0, s.of("taps"), 10),
+    "align_poses.align_poses": _alignment,
+    "code_rhs.sample_lattice": lambda s: Work(s.given["samples_a_module"], s.of("samples_out"), 15),
+    "code_rhs.fold_samples": _fold,
+    "pull_modules.pull_modules": lambda s: Work(0, s.of("q") / 8, 17),
+    "solve_code.start": lambda s: _stencil(1.0, s),
+    "solve_code.apply": lambda s: _stencil(_share(s), s),
+    "solve_code.update": lambda s: Work(0, _share(s) * (s.of("rhs") + s.of("rhs", 1)), 4),
+    "motion_correlation.clip_rows": lambda s: Work(0, s.of("images_inout") / 4, 4),
+    "motion_correlation.correlate_rows": _shifts,
+    "motion_correlation.add_rows": lambda s: Work(0, s.of("images_inout", 2), 4),
+    "surface_peak.surface_peak": _peak,
+    "clip_outliers.measure_rows": lambda s: Work(0, s.of("image"), 1),
+    "clip_outliers.limit": lambda s: Work(0, s.of("image", 1), 2),
+    "clip_outliers.clip_rows": lambda s: Work(0, s.of("image"), 1),
+    "reduce_image.reduce_image": _reduced,
+    "mix_images.mix_images": lambda s: Work(0, s.of("weight"), 17),
+    "correlate_templates.running_squares": lambda s: Work(0, s.of("image", 1), 4),
+    "correlate_templates.quiet_floor": lambda s: Work(0, s.of("image"), 1),
+    "correlate_templates.correlate_basis": _disc,
+    "correlate_templates.best_template": lambda s: Work(
+        s.of("response_out"), BUSY * s.of("response_out") * s.of("mix", 0), 5
+    ),
+    "local_maxima.local_maxima": lambda s: Work(s.of("response"), BUSY * s.of("response") * 9, 1),
+    "merge_maxima.merge_maxima": _merged,
+    "match_corners.match_corners": lambda s: Work(s.of("peaks", 1), s.of("peaks", 1), 0),
+}
+"""By operation and kernel."""
+
+ATOMICS: dict[str, Callable[[Sizes], float]] = {
+    "bin_packed_events.bin_packed_events": lambda s: s.events * s.of("window_ptr", 0),
+    "deposit_packed_events.deposit_packed_events": lambda s: 4 * s.events * s.of("window_ptr", 0),
+}
+"""Additions to memory of a launch."""
+
+
+def work_of(name: str, sizes: Sizes) -> Work:
+    """Count what a thread of a kernel runs.
+
+    Parameters
+    ----------
+    name : str
+        Operation and kernel.
+    sizes : Sizes
+        Of its launch.
+
+    Returns
+    -------
+    work : Work
+        From the table, or guessed.
+    """
+    if name in WORK:
+        return WORK[name](sizes)
+    elements = sum(math.prod(value) for value in sizes.given.values() if isinstance(value, tuple))
+    return Work(0, elements / sizes.threads, 0)
+
+
+def instructions(code: Code, work: Work) -> float:
+    """Count instructions of a thread.
+
+    Parameters
+    ----------
+    code : Code
+        The kernel's.
+    work : Work
+        What a thread runs of it.
+
+    Returns
+    -------
+    count : float
+        Loops around others are those of all nests together, once a turn.
+    """
+    unrolled = max(1, round(code.loads / work.loads)) if work.loads else 1
+    return code.once + code.around * work.around + code.inside / unrolled * work.steps
