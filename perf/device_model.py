@@ -96,8 +96,8 @@ ASSUMED = (
     "  an operation's arrays that are larger than the cache go through memory once a kernel;",
     "  Python and decoding take what they take here;",
     f"  a thread's instructions as device_work.py tells from sizes and from iterations that the run took, "
-    f"{BUSY:.0%} of pixels busy, {FOUND} maxima a window;",
-    "  kernels that it does not have (marked ?): a step an array element, shared out among threads.",
+    f"{BUSY:.0%} of pixels busy, {FOUND} maxima a window, no branch left out;",
+    "  of kernels that it does not have (marked ?) a thread walks along the longest axis of an array.",
 )
 
 

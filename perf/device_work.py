@@ -1,7 +1,7 @@
 """How many instructions a thread of each kernel runs: its machine code, with loops as sizes tell.
 
-A table that knows the kernels' sources.  What it does not have is taken for a step an element of its
-operation's arrays, shared out among the threads.
+A table that knows the kernels' sources.  Of a kernel that it does not have, a thread is taken to walk along
+the longest axis of its operation's arrays, but for the first.
 """
 
 from __future__ import annotations
@@ -119,13 +119,14 @@ WORK: dict[str, Callable[[Sizes], Work]] = {
     "lag_operator.lag_rows": lambda s: Work(0, s.of("taps"), 10),
     "lag_operator.lag_columns": lambda s: Work(0, s.of("taps"), 10),
     "align_poses.align_poses": _alignment,
-    "code_rhs.sample_lattice": lambda s: Work(s.given["samples_a_module"], s.of("samples_out"), 15),
+    "code_rhs.sample_lattice": lambda s: Work(s.given["samples_a_module"], s.of("samples_out"), 5),
     "code_rhs.fold_samples": _fold,
     "pull_modules.pull_modules": lambda s: Work(0, s.of("q") / 8, 17),
     "solve_code.start": lambda s: _stencil(1.0, s),
     "solve_code.apply": lambda s: _stencil(_share(s), s),
     "solve_code.update": lambda s: Work(0, _share(s) * (s.of("rhs") + s.of("rhs", 1)), 4),
     "motion_correlation.clip_rows": lambda s: Work(0, s.of("images_inout") / 4, 4),
+    "motion_correlation.judge_pairs": lambda s: Work(0, s.of("images_inout", 2), 4),
     "motion_correlation.correlate_rows": _shifts,
     "motion_correlation.add_rows": lambda s: Work(0, s.of("images_inout", 2), 4),
     "surface_peak.surface_peak": _peak,
@@ -170,8 +171,10 @@ def work_of(name: str, sizes: Sizes) -> Work:
     """
     if name in WORK:
         return WORK[name](sizes)
-    elements = sum(math.prod(value) for value in sizes.given.values() if isinstance(value, tuple))
-    return Work(0, elements / sizes.threads, 0)
+    longest = max(
+        (max(value[1:], default=0) for value in sizes.given.values() if isinstance(value, tuple)), default=0
+    )
+    return Work(0, longest, 0)
 
 
 def instructions(code: Code, work: Work) -> float:

@@ -116,7 +116,7 @@ def test_a_batch_takes_what_its_parts_take():
 def test_a_kernel_that_the_table_does_not_have_is_marked():
     launch = Launch("new", Kernel("new"), 10, (("image", (5, 20)), ("setting", 3)), 400)
     (part,) = modelled(launch).parts
-    assert part.instructions == 100 + 40 * 10
+    assert part.instructions == 100 + 40 * 20
     observed = dm.Observed(128, 1, 36_000, Counts(made=Counter([launch])), {}, 1e-3, 2e-3, right=False)
     printed = dm.lines("tracked", observed, defaultdict(lambda: CODE), 3)
     assert "NOT READ" in printed[0] and "goal 10000" in printed[1]
