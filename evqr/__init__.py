@@ -24,7 +24,6 @@ if TYPE_CHECKING:
         MotionConfig,
         ReadConfig,
         SchedulerConfig,
-        SearchPass,
         TrackConfig,
         Vote,
     )
@@ -112,7 +111,6 @@ __all__ = [
     "RecordingInfo",
     "RecordingOptions",
     "SchedulerConfig",
-    "SearchPass",
     "Solver",
     "Statistics",
     "StreamChoice",
@@ -148,7 +146,6 @@ _HOME = {
         "MotionConfig",
         "ReadConfig",
         "SchedulerConfig",
-        "SearchPass",
         "TrackConfig",
         "Vote",
     ),

@@ -13,10 +13,10 @@ from queue import SimpleQueue
 from typing import TYPE_CHECKING, Any
 
 from evqr.clock import ONE_TIME, StageClock
+from evqr.events.batch import EventBatch
 from evqr.events.buffer import EventBuffer
 from evqr.fit.detection import Detection, NotFound
 from evqr.fit.modules import CodeEstimate
-from evqr.fit.outside import outside
 from evqr.geometry import affine_to_code
 from evqr.motion import Motion
 from evqr.reason import Reason
@@ -387,16 +387,13 @@ def _read_alone(start: _Start, events: EventBuffer, solver: Solver) -> WindowRea
     codes: list[WindowCode] = []
     found = moving
     if isinstance(moving, MotionEstimate):
-        cfg, left = solver.config.scheduler, window
-        found = solver.find(window, moving.motion)
-        clock.add(found.timings_ms)
-        while isinstance(found, Detection):
-            codes.append(_read_detection(found, solver, clock))
-            if len(codes) == cfg.codes_a_search:
-                break
-            left = outside(left, [found.target], cfg.margin_modules)
-            found = solver.find(left, found.motion, tau_us=found.tau_us, thorough=False)
+        (found,) = solver.find(EventBatch.of([window]), [moving.motion])
+        if isinstance(found, NotFound):
             clock.add(found.timings_ms)
+        else:
+            clock.add(found[0].timings_ms)
+            most = solver.config.scheduler.codes_a_search
+            codes = [_read_detection(code, solver, clock) for code in found[:most]]
     codes.sort(key=lambda code: code.status is not ReadStatus.READ)  # the sort is stable
     if codes:
         status, reason, reason_code = codes[0].status, codes[0].reason, codes[0].reason_code

@@ -11,26 +11,26 @@ from collections.abc import Sequence
 from dataclasses import replace
 
 from evqr.clock import StageClock
-from evqr.config import ReadConfig, SearchPass
+from evqr.config import ReadConfig
 from evqr.device import kernels_on, load
 from evqr.events.batch import EventBatch
 from evqr.events.buffer import Asking
 from evqr.events.window import Window
-from evqr.fit.detection import NO_LAG, Detection, NotFound
+from evqr.fit.detection import Detection, NotFound
 from evqr.fit.measure import measure
 from evqr.fit.modules import CodeEstimate, NormalEquations, solve_modules, weight_of
-from evqr.fit.refine import complete, refine
 from evqr.fit.region import region_around
 from evqr.launched import LAUNCHED
 from evqr.motion import Motion
 from evqr.reason import Reason
-from evqr.search.finder import Found, find_hypotheses
-from evqr.search.hypothesis import Layout
+from evqr.search.codes import find_codes
+from evqr.search.headings import headings
 from evqr.search.motion_estimate import MotionEstimate, QuietSpells, estimate_motion, find_motion
-from evqr.search.passes import search_passes
-from evqr.search.screen import batches, screen
 from evqr.values import FrozenDict
 from evqr.workspace import Workspace
+
+WINDOWS_AT_ONCE = 16
+"""Windows that are searched in one launch: what they take of the device's memory bounds it."""
 
 
 class Solver:
@@ -121,91 +121,50 @@ class Solver:
 
     def find(
         self,
-        window: Window,
-        motion: Motion,
+        batch: EventBatch,
+        motions: Sequence[Motion],
         *,
-        tau_us: tuple[float, float] | None = None,
-        thorough: bool = True,
-    ) -> Detection | NotFound:
-        """Find a code in a window from cold.
+        tau_us: Sequence[tuple[float, float] | None] | None = None,
+    ) -> list[tuple[Detection, ...] | NotFound]:
+        """Find all codes of windows from cold.
 
         Parameters
         ----------
-        window : Window
-            Where to search.
-        motion : Motion
-            Of the code; it is taken to hold at the middle of the window.
-        tau_us : (float, float) [us]
-            Time constants of the pixels, known from earlier windows; None: estimated, if not configured.
-        thorough : bool
-            False: the motion is sure, and the last of the configured passes, which takes most of the time,
-            is left out.
+        batch : EventBatch
+            B windows, of one stream or of many.
+        motions : sequence of Motion
+            Of the codes in each; it is taken to hold at the middle of the window.
+        tau_us : sequence of (float, float) or None [us]
+            Time constants of the pixels, a window, known from earlier ones; None: estimated, if not
+            configured.
 
         Returns
         -------
-        found : Detection or NotFound
-            At the middle of the window, with its timings.
+        found : list of tuple of Detection, or NotFound
+            For each window its codes, best first, or why there is none; with the window's share of the
+            timings, the first of its codes all of it.  It does not depend on the other windows.
         """
-        clock, finder = StageClock(), self.config.finder
-        tau_us = self.config.lag_us or tau_us
-        best: Detection | NotFound = NotFound(Reason.NOTHING_MOVES)
-        for heading, search_pass in search_passes(window, motion, finder, thorough=thorough):
-            with clock("finder"):
-                found = find_hypotheses(
-                    window, heading, finder, workspace=self.workspace, search_pass=search_pass,
-                    lag_px=NO_LAG if tau_us == NO_LAG else None,
+        cfg, clock = self.config, StageClock()
+        known = [cfg.lag_us or tau for tau in tau_us or [None] * len(batch)]
+        tried = [headings(*each, cfg.finder) for each in zip(batch.windows, motions, strict=True)]
+        best: list[tuple[Detection, ...] | NotFound] = [NotFound(Reason.NOTHING_MOVES)] * len(batch)
+        for turn in range(max(map(len, tried), default=0)):
+            open_ = [k for k, each in enumerate(tried) if turn < len(each) and not _sure(best[k], cfg)]
+            for first in range(0, len(open_), WINDOWS_AT_ONCE):
+                rows = open_[first : first + WINDOWS_AT_ONCE]
+                found = find_codes(
+                    batch.pick(rows), [tried[k][turn] for k in rows], [known[k] for k in rows], cfg,
+                    workspace=self.workspace, clock=clock,
                 )  # fmt: skip
-            for layout in Layout:
-                if isinstance(best, Detection) and best.score >= self.config.align.good_score:
-                    break
-                tried = self._find(window, heading, found, layout, search_pass, tau_us, clock)
-                best = max(tried, best, key=_closeness)
-            if isinstance(best, Detection) and best.score >= self.config.align.good_score:
-                break
-        return replace(best, timings_ms=clock.ms)
-
-    def _find(
-        self,
-        window: Window,
-        motion: Motion,
-        found: Found,
-        layout: Layout,
-        search_pass: SearchPass,
-        tau_us: tuple[float, float] | None,
-        clock: StageClock,
-    ) -> Detection | NotFound:
-        """Find a code of one layout in what a search along one motion found."""
-        cfg, one, workspace = self.config, self.config.align, self.workspace
-        alone = EventBatch.of([window])
-        hypotheses = found.hypotheses(layout)
-        if not hypotheses:
-            return NotFound(Reason.NO_FINDER_PATTERNS, f"{len(found.peaks)} candidates")
-        best: Detection | None = None
-        closest, iterations = 0.0, 0
-        for batch in batches(hypotheses, cfg.finder.first_hypotheses):
-            with clock("pose"):
-                candidates, steps = screen(batch, found.pyramid, one, workspace=workspace)
-            candidates = [candidate for candidate in candidates if candidate.score >= search_pass.min_score]
-            if not candidates:
-                continue
-            chosen = candidates[: one.refined_candidates]
-            with clock("stage_one"):
-                (refined,) = refine(alone, [motion], [chosen], [tau_us], cfg, workspace=workspace)
-            iterations += steps + refined.iterations
-            closest = max(closest, refined.score)
-            if refined.score < one.min_score:
-                continue
-            refined = replace(refined, iterations=iterations)
-            (detection,) = complete(alone, [refined], [tau_us], cfg, workspace=workspace, clock=clock)
-            if layout is Layout.SINGLE and detection.score < one.single_score:
-                closest = max(closest, detection.score)
-                continue
-            if best is None or detection.score > best.score:
-                best = detection
-            if best.score >= one.good_score:
-                break
-        detail = f"{closest:.2f}, the best of {len(hypotheses)} candidates"
-        return best or NotFound(Reason.DISAGREES, detail, closest)
+                for k, one in zip(rows, found, strict=True):
+                    best[k] = max(one, best[k], key=_closeness)
+        timings_ms = {stage: ms / len(batch) for stage, ms in clock.ms.items()}
+        return [
+            replace(one, timings_ms=timings_ms)
+            if isinstance(one, NotFound)
+            else (replace(one[0], timings_ms=timings_ms), *one[1:])
+            for one in best
+        ]
 
     def follow(self, batch: EventBatch, detections: Sequence[Detection]) -> list[Detection | NotFound]:
         """Find codes again that earlier windows showed.
@@ -267,8 +226,13 @@ def _timed(found: MotionEstimate | Reason, clock: StageClock) -> MotionEstimate 
     return replace(found, timings_ms=clock.ms)
 
 
-def _closeness(found: Detection | NotFound) -> tuple[bool, float]:
-    """Order what passes have found: a code before none, then by how well it agrees."""
-    if isinstance(found, Detection):
-        return True, found.score
-    return False, found.closest
+def _sure(found: tuple[Detection, ...] | NotFound, cfg: ReadConfig) -> bool:
+    """Whether there is a code that agrees well."""
+    return not isinstance(found, NotFound) and found[0].score >= cfg.align.good_score
+
+
+def _closeness(found: tuple[Detection, ...] | NotFound) -> tuple[bool, float]:
+    """Order what searches have found: codes before none, then by how well the best agrees."""
+    if isinstance(found, NotFound):
+        return False, found.closest
+    return True, found[0].score

@@ -417,9 +417,9 @@ def accumulated(name: str, *shape: Extent) -> Output:
     return Output(name=name, shape=shape, written=Written.ACCUMULATED)
 
 
-def in_part(name: str, *shape: Extent) -> Output:
+def in_part(name: str, *shape: Extent, integer: bool = False) -> Output:
     """Declare an output that is overwritten in part."""
-    return Output(name=name, shape=shape, written=Written.IN_PART)
+    return Output(name=name, shape=shape, written=Written.IN_PART, integer=integer)
 
 
 def in_place(name: str, *shape: Extent, start: str, returned: bool = True) -> Output:

@@ -188,16 +188,24 @@ def correlate_templates(size: Size, rng, dtype) -> Problem:
     basis, _ = np.linalg.qr((rng.normal(size=(n, n, 5)) * disc[..., None]).reshape(-1, 5))
     mix = rng.normal(size=(8, 5))
     mix /= np.linalg.norm(mix, axis=1, keepdims=True)
-    inputs = [image, np.zeros(batch, dtype), basis.reshape(n, n, 5).astype(dtype), mix.astype(dtype), spans]
+    banks = [np.repeat(a[None].astype(dtype), batch, axis=0) for a in (basis.reshape(n, n, 5), mix)]
+    inputs = [image, np.zeros(batch, dtype), *banks, spans, *_level(size), np.zeros(1, dtype), 0.0, 0.0]
     pixels = batch * side**2
     madds = pixels * (5 * int(disc.sum()) + 45)
-    return problem("correlate_templates", [*inputs, 0.0, 0.0], pixels, madds)
+    return problem("correlate_templates", inputs, pixels, madds)
+
+
+def _level(size: Size) -> tuple[np.ndarray, np.ndarray]:
+    """All rows of one level, and all of it each window's own."""
+    rows = np.stack([np.zeros(size.side), np.arange(size.side)], axis=1).astype(np.int32)
+    return rows, np.full((size.batch, 1, 2), size.side, np.int32)
 
 
 def local_maxima(size: Size, rng, dtype, most: int = 8) -> Problem:
     response = rng.uniform(-1, 1, (size.batch, size.side, size.side)).astype(dtype)
     angle = rng.integers(0, 8, response.shape).astype(np.int32)
-    inputs = [response, angle, 0.3, 2.5, 3.125, 0.2]
+    sizes, origin = np.array([[2.5, 3.125]], dtype), np.zeros((size.batch, 2), dtype)
+    inputs = [response, angle, *_level(size), sizes, origin, 0.3, 0.2]
     return problem("local_maxima", inputs, response.size, 8 * response.size, most=most)
 
 
@@ -268,6 +276,17 @@ def _terms(perspective: bool = False) -> tuple[np.ndarray, np.ndarray]:
     rows += [[(18, 3)], [(19, 3)]]
     padded = np.array([row + [(0, 0)] * (4 - len(row)) for row in rows], np.int32)
     return np.ascontiguousarray(padded[..., 0]), np.ascontiguousarray(padded[..., 1])
+
+
+def score_poses(size: Size, rng, dtype, count: int = 64, points: int = 300) -> Problem:
+    """Score poses a window, each with a model of a few hundred points."""
+    idx = np.repeat(np.arange(size.batch, dtype=np.int32), count)
+    model = np.hstack([rng.uniform(0, size.modules, (points, 2)), rng.normal(size=(points, 2))])
+    ptr = np.array([[0, 240, points]], np.int32)
+    poses = np.repeat(_poses(size, rng, dtype), count, axis=0)
+    inputs = [_image(size, rng, dtype), idx, poses, np.zeros_like(idx), ptr, model.astype(dtype), 1e-3]
+    samples = len(idx) * points
+    return problem("score_poses", inputs, samples, 24 * samples, "sample")
 
 
 def align_poses(size: Size, rng, dtype, iterations: int = 5) -> Problem:
@@ -531,6 +550,7 @@ PROBLEMS: dict[str, Callable[..., Problem]] = {
         sample_moments,
         sample_moments_adjoint,
         align_poses,
+        score_poses,
         pose_normal_equations,
         code_rhs,
         code_normal_equations,

@@ -28,9 +28,9 @@ from evqr.fit.detection import Detection, NotFound
 from evqr.geometry import outline
 from evqr.motion import Motion
 from evqr.paper.methods import descent, integrate
-from evqr.search.finder import find_hypotheses
-from evqr.search.hypothesis import Layout
+from evqr.search.finder import find_patterns
 from evqr.search.motion_estimate import MotionEstimate
+from evqr.search.triples import codes_of_triples
 from evqr.solver import Solver
 from evqr.symbol.decode import decode_grid
 from evqr.symbol.decoded import Decoded
@@ -93,11 +93,11 @@ def prepare(recording: Recording, solver: Solver) -> list[Job]:
         length = solver.window_us(motion)
         before = start = None
         earlier = buffer.window(start_us - length, start_us)
-        seen = solver.find(earlier, motion)
-        if isinstance(seen, Detection):
-            before = seen
+        (seen,) = solver.find(EventBatch.of([earlier]), [motion])
+        if not isinstance(seen, NotFound):
+            before = seen[0]
             window = buffer.window(start_us, start_us + length)
-            start = _search(window, motion, seen, solver)
+            start = _search(window, motion, before, solver)
         jobs.append(Job(recording, buffer, start_us, length, before, start))
     return jobs
 
@@ -106,13 +106,16 @@ def _search(
     window: Window, motion: Motion, seen: Detection, solver: Solver
 ) -> tuple[Motion, np.ndarray, int] | None:
     """Return what the search finds of a code whose place is known: the pose before any refinement."""
-    found = find_hypotheses(window, motion, solver.config.finder, workspace=solver.workspace)
+    cfg = solver.config.finder
+    (found,), _ = find_patterns(EventBatch.of([window]), [motion], cfg, workspace=solver.workspace)
     true = seen.at(window.middle_us).outline()
-    poses = [h.pose for h in found.hypotheses(Layout.THREE_CORNERS) if h.space == seen.space]
+    made = codes_of_triples(found.peaks.table, found.triples, cfg)
+    poses = [made.pose[k] for k in range(len(made)) if made.space(k) == seen.space]
     if not poses:
         return None
     shape = seen.space.shape
     best = min(poses, key=lambda pose: np.abs(outline(pose, shape) - true).max())
+    assert isinstance(seen.space.version, int)
     return motion, best, seen.space.version
 
 
@@ -122,8 +125,9 @@ def run_cold(job: Job, solver: Solver, clock: StageClock | None = None) -> str |
     if motion is None:
         return None
     length = solver.window_us(motion)
-    found = solver.find(job.buffer.window(job.start_us, job.start_us + length), motion)
-    return _finish(found, solver, clock)
+    window = job.buffer.window(job.start_us, job.start_us + length)
+    (found,) = solver.find(EventBatch.of([window]), [motion])
+    return _finish(found if isinstance(found, NotFound) else found[0], solver, clock)
 
 
 def run_tracked(job: Job, solver: Solver, clock: StageClock | None = None) -> str | None:

@@ -20,8 +20,9 @@ import without_code
 from table import Row, row
 
 from evqr import EventArray, ReadConfig, open_recording, read_codes, read_windows
+from evqr.events.batch import EventBatch
 from evqr.events.buffer import EventBuffer
-from evqr.fit.detection import Detection
+from evqr.fit.detection import Detection, NotFound
 from evqr.search.motion_estimate import MotionEstimate
 from evqr.simulate import simulate
 from evqr.solver import Solver
@@ -44,7 +45,9 @@ def check(device: str) -> float:
         seen = buffer.answer(solver.motion_at(start))
         if isinstance(seen, MotionEstimate):
             motion = seen.motion
-            seen = solver.find(buffer.window(start, start + solver.window_us(motion)), motion)
+            window = buffer.window(start, start + solver.window_us(motion))
+            (codes,) = solver.find(EventBatch.of([window]), [motion])
+            seen = codes if isinstance(codes, NotFound) else codes[0]
         first_ms = 1e3 * (time.perf_counter() - begin)
         if not isinstance(seen, Detection):
             sys.exit(f"gate: backend {backend} finds no code in the known scene: {seen}")

@@ -6,7 +6,9 @@ from dataclasses import replace
 import numpy as np
 
 from evqr.events.array import EventArray
+from evqr.events.batch import EventBatch
 from evqr.events.window import Window, make_window
+from evqr.fit.detection import NotFound
 from evqr.motion import Motion
 from evqr.simulate import CodePlacement, Simulation, simulate
 from evqr.simulate.geometry import transform
@@ -64,6 +66,18 @@ def window_of(simulation: Simulation, travel_px: float = 2.0, *, middle: int | N
     middle = middle_us(simulation) if middle is None else middle
     half = round(500.0 * travel_px / simulation.scene.speed_px_ms)
     return make_window(simulation.events, middle - half, middle + half)
+
+
+def find_all(solver, window, motion, tau_us=None):
+    """All codes of a window, best first, or why there is none."""
+    (found,) = solver.find(EventBatch.of([window]), [motion], tau_us=[tau_us])
+    return found
+
+
+def find(solver, window, motion, tau_us=None):
+    """The best code of a window, or why there is none."""
+    found = find_all(solver, window, motion, tau_us)
+    return found if isinstance(found, NotFound) else found[0]
 
 
 def moved(

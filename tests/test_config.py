@@ -21,7 +21,6 @@ from evqr.config import (
     ModulesConfig,
     MotionConfig,
     ReadConfig,
-    SearchPass,
     Settings,
     TrackConfig,
     Vote,
@@ -45,7 +44,7 @@ CLASSES = [
         (ReadConfig, {"vote": 1}, "one of 'mode', 'soft', 'information', got 1"),
         (ReadConfig, {"lag_us": 300.0}, "a tuple of 2, each a number, .*, or None, got 300.0"),
         (ReadConfig, {"motion": AlignConfig()}, "a MotionConfig, got AlignConfig"),
-        (FinderConfig, {"passes": SearchPass()}, "a tuple, each a SearchPass, got SearchPass"),
+        (FinderConfig, {"peaks": 12.5}, "a whole number, at least 3 and at most 1024, got 12.5"),
         (TrackConfig, {"baseline": 2.5}, "a whole number, at least 2, got 2.5"),
     ],
 )
@@ -62,7 +61,7 @@ def test_values_of_the_wrong_type_are_refused(cls, given, allowed):
         (ReadConfig, {"lag_us": (1.0, 2.0, 3.0)}, "a tuple of 2"),
         (MotionConfig, {"min_peak": 1.5}, "a number, at least 0 and at most 1, got 1.5"),
         (MotionConfig, {"probe_us": 60_000}, "at most longest_us, 50000, got 60000"),
-        (SearchPass, {"largest_module_px": 3}, "at least smallest_module_px, 3.2, got 3.0"),
+        (FinderConfig, {"largest_module_px": 3}, "at least smallest_module_px, 3.2, got 3.0"),
         (DecodeConfig, {"charset": "klingon"}, "a name, as utf-8 or shift_jis, or None, got 'klingon'"),
         (DecodeConfig, {"charset": "rot13"}, "a name, as utf-8 or shift_jis, or None, got 'rot13'"),
         (DecodeConfig, {"min_confidence": 1.0}, "a number, above 0 and below 1, got 1.0"),
@@ -70,7 +69,7 @@ def test_values_of_the_wrong_type_are_refused(cls, given, allowed):
         (ModulesConfig, {"damping": float("inf")}, "a number, at least 0, got inf"),
         (LagConfig, {"factors": (0.5, 2.0)}, r"a tuple with 1 among them, got \(0.5, 2.0\)"),
         (LagConfig, {"first_on": (0.5,)}, r"a tuple that begins with 0, no lag, got \(0.5,\)"),
-        (FinderConfig, {"passes": ()}, r"a tuple of at least one, got \(\)"),
+        (FinderConfig, {"unsure_turns": ()}, r"a tuple of at least one, got \(\)"),
     ],
 )
 def test_values_that_make_no_sense_are_refused(cls, given, allowed):
@@ -100,11 +99,9 @@ def test_settings_are_plain_data(cls):
 
 
 def test_a_part_of_the_settings_is_enough():
-    given = {"vote": "mode", "finder": {"passes": [{"peaks": 12}]}, "track": {"patience": 3}}
+    given = {"vote": "mode", "finder": {"peaks": 12}, "track": {"patience": 3}}
     made = ReadConfig.from_dict(given)
-    assert made == ReadConfig(
-        vote=Vote.MODE, finder=FinderConfig(passes=(SearchPass(peaks=12),)), track=TrackConfig(patience=3)
-    )
+    assert made == ReadConfig(vote=Vote.MODE, finder=FinderConfig(peaks=12), track=TrackConfig(patience=3))
 
 
 def test_a_misspelt_setting_is_told():

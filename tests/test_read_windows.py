@@ -6,7 +6,7 @@ from dataclasses import FrozenInstanceError, fields, replace
 
 import numpy as np
 import pytest
-from scenes import at, joined, noise, scene
+from scenes import at, find, joined, noise, scene
 
 from evqr import ReadConfig, ReadStatus, Reason, Solver, read_windows
 from evqr.events.window import make_window
@@ -152,7 +152,7 @@ def test_a_window_is_what_a_fresh_solver_sees(made):
     for w in windows_of(made.events, max_windows=3, window_us=500):
         solver = Solver(ReadConfig(window_us=500))
         window = make_window(made.events, w.t_start_us, w.t_end_us)
-        found = solver.find(window, solver.motion_in(window).motion)
+        found = find(solver, window, solver.motion_in(window).motion)
         np.testing.assert_array_equal(found.motion.velocity, w.motion_px_per_s)
         assert found.space.version == w.version
 

@@ -10,6 +10,7 @@ import pytest
 import sample_results
 from hypothesis import given
 from hypothesis import strategies as st
+from scenes import find
 
 from evqr import EventBuffer, Solver, errors, open_recording
 from evqr.demo import demo_recording
@@ -230,8 +231,8 @@ def steps():
     at = (events.first_us + events.last_us) // 2
     moving = events.answer(solver.motion_at(at))
     window = events.window(at, at + solver.window_us(moving.motion))
-    found = solver.find(window, moving.motion)
-    nothing = solver.find(window.keep(np.arange(len(window)) % 50 == 0), moving.motion)
+    found = find(solver, window, moving.motion)
+    nothing = find(solver, window.keep(np.arange(len(window)) % 50 == 0), moving.motion)
     (estimate,) = solver.solve([found])
     return {
         type(each).__name__: each

@@ -29,7 +29,7 @@ OLD = {
 OLD_NAMES = {
     "Passes": "StreamScheduler",
     "_settle": "merge_with_earlier",
-    "LookConfig": "SearchPass",
+    "LookConfig": "FinderConfig",
     "StageOneConfig": "AlignConfig",
     "StageTwoConfig": "ModulesConfig",
 }

@@ -11,7 +11,7 @@ from __future__ import annotations
 from evqr.config.decode import DecodeConfig
 from evqr.config.fit import AlignConfig, LagConfig, ModulesConfig
 from evqr.config.read import ReadConfig, Vote
-from evqr.config.search import FinderConfig, MotionConfig, SearchPass
+from evqr.config.search import FinderConfig, MotionConfig
 from evqr.config.settings import Settings
 from evqr.config.stream import SchedulerConfig, TrackConfig
 
@@ -24,7 +24,6 @@ __all__ = [
     "MotionConfig",
     "ReadConfig",
     "SchedulerConfig",
-    "SearchPass",
     "Settings",
     "TrackConfig",
     "Vote",

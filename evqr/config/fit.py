@@ -46,9 +46,8 @@ class AlignConfig(Settings):
     single_score : float
         The same, to find a symbol with a single finder pattern. Chosen: the corner of a QR code was seen to
         reach 0.64, symbols with slow and noisy pixels 0.6 to 0.75, others 0.7 to 0.88.
-    clear_score : float
-        Coarse correlation with which the best triple ends the screening; above 1, never. Chosen: wrong ones,
-        turned by a right angle, were seen to reach 0.66.
+    coarse_score : float
+        Correlation at the coarse levels below which a candidate is not refined, -1 to 1. Chosen.
     good_score : float
         Correlation that ends the search for a better candidate; above 1, never. Chosen: one module off scores
         0.56 to 0.67.
@@ -73,7 +72,7 @@ class AlignConfig(Settings):
     shift_gain: NotNegative = 0.02
     min_score: Share = 0.5
     single_score: Share = 0.6
-    clear_score: NotNegative = 0.75
+    coarse_score: Annotated[float, Range(least=-1.0, most=1.0)] = 0.4
     good_score: NotNegative = 0.8
     sharp_score: NotNegative = 0.96
 

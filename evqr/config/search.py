@@ -61,8 +61,8 @@ class MotionConfig(Settings):
 
 
 @dataclass(frozen=True, kw_only=True)
-class SearchPass(Settings):
-    """How thoroughly one pass over a window searches for finder patterns.
+class FinderConfig(Settings):
+    """Search for finder patterns with a bank of matched filters, and for the codes that they belong to.
 
     Attributes
     ----------
@@ -70,53 +70,6 @@ class SearchPass(Settings):
         Smallest module searched. Chosen: below it noise looks like finder patterns.
     largest_module_px : float [px]
         Largest module searched. Chosen.
-    floor : float
-        Energy under a template, relative to that over cells of rms strength, below which a place is quiet.
-        Chosen.
-    peaks : int
-        Places kept, the best over all sizes. Chosen.
-    hypotheses : int
-        Codes with several finder patterns that are tried, the best by response. Chosen.
-    single_patterns : int
-        Finder patterns that are each tried as the only one of a code where no code with several is found, the
-        best by response; 0: none. Chosen.
-    min_score : float
-        Coarse score that a candidate needs to be refined, -1 to 1. Chosen.
-    """
-
-    smallest_module_px: Annotated[float, Range(least=1.0, most=200.0)] = 3.2
-    largest_module_px: Annotated[float, Range(least=1.0, most=200.0)] = 22.0
-    floor: NotNegative = 0.3
-    peaks: Annotated[int, Range(least=3, most=1024)] = 64
-    hypotheses: Count = 48
-    single_patterns: Annotated[int, Range(least=0, most=1024)] = 4
-    min_score: Annotated[float, Range(least=-1.0, most=1.0)] = -1.0
-
-    def __post_init__(self) -> None:
-        super().__post_init__()
-        if self.largest_module_px < self.smallest_module_px:
-            raise ValueError(
-                f"largest_module_px must be at least smallest_module_px, {self.smallest_module_px}, "
-                f"got {self.largest_module_px}"
-            )
-
-
-def _quick(smallest_module_px: float, largest_module_px: float) -> SearchPass:
-    return SearchPass(
-        smallest_module_px=smallest_module_px, largest_module_px=largest_module_px, floor=0.8, peaks=24,
-        hypotheses=4, single_patterns=0, min_score=0.5,
-    )  # fmt: skip
-
-
-@dataclass(frozen=True, kw_only=True)
-class FinderConfig(Settings):
-    """Search for finder patterns with a bank of matched filters.
-
-    Attributes
-    ----------
-    passes : tuple of SearchPass
-        One after another until a code is found, the cheapest first: large modules, then small ones, then all
-        of them and quiet places too. Chosen.
     scale_ratio : float
         Step from one module size to the next. Chosen.
     cells_a_module : float [cells/module]
@@ -124,26 +77,53 @@ class FinderConfig(Settings):
     half : int [cells]
         Half width of a template. Chosen.
     lag_cells : tuple of 2 floats [cells]
-        Lag that is undone for ON and OFF events while it is not known, in cells of a pass's finest level.
-        Chosen: little enough to do no harm where pixels do not lag.
+        Lag that is undone for ON and OFF events while it is not known, in cells of the finest level. Chosen:
+        little enough to do no harm where pixels do not lag.
     clip : float
         Cells are clipped at so many times the mean strength of those that have events: a hot pixel is no
         edge. Chosen.
-    peaks_a_row : int
-        Peaks kept of one row of a level. Chosen.
-    triples_a_corner : int
-        Triples kept that have one corner. Chosen.
+    floor : float
+        Energy under a template, relative to that over cells of rms strength, below which a place is quiet.
+        Chosen.
+    min_first : float
+        The same of the part of a pattern that is alike in all directions, which is computed first. Chosen:
+        those of codes were seen to be 0.44 and more.
     min_response : float
         Normalised response of a finder pattern that counts, 0 to 1. Chosen.
-    first_hypotheses : int
-        Hypotheses tried before the others, with all versions of their triples: most often one is the code.
-        Chosen.
+    peaks_a_row : int
+        Peaks kept of one row of a level. Chosen.
+    peaks : int
+        Places kept, the best over all sizes. Chosen: twice the finder patterns of 16 codes.
+    triples_a_corner : int
+        Triples kept that have one corner. Chosen: the corners of 16 codes in rows make that many.
     leg_tolerance : float
         |log| of the ratio of the two legs of a triple. Chosen.
     scale_tolerance : float
         |log| of leg length over what symbol and module size ask for. Chosen.
     angle_tolerance : float [rad]
         Between leg and finder pattern, and from a right angle. Chosen.
+    first_hypotheses : int
+        Codes with several finder patterns that are scored before the others, the best by response. Chosen:
+        most often the code is among them.
+    hypotheses : int
+        Codes with several finder patterns that are scored in a window. Chosen.
+    min_match : float
+        Mean correlation with finder patterns and timing that a code needs to be looked at closely, -1 to 1.
+        Chosen: codes were seen to have 0.43 and more, one on a cylinder 0.26, what is none mostly less.
+    clear_match : float
+        The same with which one is clearly a code: others are looked at only where there is none. Chosen.
+    tries : int
+        What is looked at closely in a window without being a code, in a row, at most. Chosen.
+    single_patterns : int
+        Finder patterns that are each tried as the only one of a code, the best that belong to no code with
+        several; 0: none. Chosen.
+    min_single_match : float
+        As ``min_match``, of those. Chosen: a pattern was aligned alone before, and a short timing pattern is
+        easily like another; codes were seen to have 0.61 and more, what is none mostly less.
+    single_candidates : int
+        Sizes and directions in which each of them is looked at closely, the best. Chosen.
+    single_tries : int
+        As ``tries``, of those. Chosen.
     margin_px : float [px]
         How far the pose of a hypothesis may be off, for the size of the region around it. Chosen.
     sure_travel_px : float [px]
@@ -153,19 +133,31 @@ class FinderConfig(Settings):
         inverted code.
     """
 
-    passes: tuple[SearchPass, ...] = (_quick(4.9, 11.0), _quick(3.2, 4.0), SearchPass())
+    smallest_module_px: Annotated[float, Range(least=1.0, most=200.0)] = 3.2
+    largest_module_px: Annotated[float, Range(least=1.0, most=200.0)] = 22.0
     scale_ratio: Annotated[float, Range(least=1.01, most=3.0)] = 1.22
     cells_a_module: Annotated[float, Range(least=1.0, most=8.0)] = 1.25
     half: Annotated[int, Range(least=3, most=32)] = 6
     lag_cells: tuple[NotNegative, NotNegative] = (0.25, 0.5)
     clip: Positive = 3.0
+    floor: NotNegative = 0.5
+    min_first: Share = 0.25
+    min_response: Share = 0.32
     peaks_a_row: Count = 8
-    triples_a_corner: Count = 8
-    min_response: Share = 0.28
-    first_hypotheses: Count = 4
+    peaks: Annotated[int, Range(least=3, most=1024)] = 96
+    triples_a_corner: Count = 16
     leg_tolerance: Positive = 0.2
     scale_tolerance: Positive = 0.16
     angle_tolerance: Annotated[float, Range(above=0.0, most=0.25 * math.pi)] = 0.24
+    first_hypotheses: Count = 64
+    hypotheses: Count = 2048
+    min_match: Annotated[float, Range(least=-1.0, most=1.0)] = 0.25
+    clear_match: Annotated[float, Range(least=-1.0, most=1.0)] = 0.5
+    tries: Count = 4
+    single_patterns: Annotated[int, Range(least=0, most=1024)] = 8
+    min_single_match: Annotated[float, Range(least=-1.0, most=1.0)] = 0.58
+    single_candidates: Count = 6
+    single_tries: Count = 2
     margin_px: NotNegative = 4.0
     sure_travel_px: NotNegative = 0.6
     unsure_turns: tuple[Annotated[float, Range(least=-math.pi, most=math.pi)], ...] = (
@@ -174,6 +166,10 @@ class FinderConfig(Settings):
 
     def __post_init__(self) -> None:
         super().__post_init__()
-        for name in ("passes", "unsure_turns"):
-            if not getattr(self, name):
-                raise ValueError(f"{name} must be a tuple of at least one, got ()")
+        if self.largest_module_px < self.smallest_module_px:
+            raise ValueError(
+                f"largest_module_px must be at least smallest_module_px, {self.smallest_module_px}, "
+                f"got {self.largest_module_px}"
+            )
+        if not self.unsure_turns:
+            raise ValueError("unsure_turns must be a tuple of at least one, got ()")

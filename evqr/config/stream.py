@@ -20,9 +20,6 @@ class SchedulerConfig(Settings):
         Longest time between two searches. Chosen: what is in view now may be slow, and a fast code may come.
     seldom : float
         How much less often is searched while a code that was read is followed. Chosen.
-    thorough_every : int [searches]
-        While a code that was read is followed, one in so many searches in vain is as thorough as any other.
-        Chosen: what is beside a code moves with it, and is searched again a little farther on.
     codes_a_search : int
         Codes that one search finds at most. Chosen.
     margin_modules : float [modules]
@@ -48,7 +45,6 @@ class SchedulerConfig(Settings):
     unknown_us: Count = 2_000
     longest_us: Count = 20_000
     seldom: Annotated[float, Range(least=1.0)] = 2.0
-    thorough_every: Count = 4
     codes_a_search: Count = 16
     margin_modules: NotNegative = 4.0
     same_place: Positive = 0.5

@@ -140,7 +140,7 @@ class Fusion:
         ------
         estimate : CodeEstimate
             Of the windows that agree with the newest, where they are some and not all, then of the newest
-            alone; nothing where all agree: they are best summed.
+            alone, unless it is the only one.
         windows : int
             How many windows it is of.
         """
@@ -149,7 +149,7 @@ class Fusion:
             (alone,) = solve_modules([weighted], self._cfg, workspace=self._workspace)
             group = self._joined(weighted, alone)
         self._waiting.clear()
-        if group is None or alone is None or len(self._groups) == 1:
+        if group is None or alone is None or self.windows == 1:
             return
         if 1 < group.windows < self.windows and group.estimate is not None:
             yield group.estimate, group.windows

@@ -1,4 +1,4 @@
-"""Finder patterns in the motion-compensated events, and the codes that they could belong to.
+"""Finder patterns in the motion-compensated events, and triples of them that could be corners of a code.
 
 The paper's 1:1:3:1:1 kernel on rows and columns finds nothing at 45 degrees: a code's axes are not the
 image's.  Here a bank of signed two-dimensional matched filters (`evqr.search.templates`) runs over a pyramid
@@ -8,28 +8,22 @@ on which a module always has the same size.  Coarse steps are enough: `align` re
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
+from collections.abc import Sequence
 from dataclasses import dataclass
-from functools import cached_property
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from evqr.config import FinderConfig, SearchPass
+from evqr.config import FinderConfig
 from evqr.events.batch import EventBatch
-from evqr.events.window import Window
-from evqr.fit.image import Deposit, Sharpen
+from evqr.fit.image import count_for
 from evqr.fit.region import Region
 from evqr.motion import Motion
-from evqr.search.hypothesis import Hypothesis, Layout, Matcher
-from evqr.search.singles import Singles
+from evqr.search.busy import busy_region
+from evqr.search.pyramid import Pyramid, levels_of
 from evqr.search.templates import ANGLES, TERMS, bank_along, spans
-from evqr.search.triples import Triples
-from evqr.workspace import EventRoom, Images, Workspace
-
-BLUR_CELLS = 0.55
-"""Blur of the finest image beyond that of the deposit [cells]."""
+from evqr.search.triples import leg_tolerances
+from evqr.workspace import EventRoom, Step, Workspace
 
 
 @dataclass(frozen=True, eq=False)
@@ -69,202 +63,163 @@ class Peaks:
 
 
 @dataclass(frozen=True, eq=False)
-class PyramidLevel:
-    """The motion-compensated events on cells of one size.
-
-    Attributes
-    ----------
-    cell : float [px]
-        Size of a cell.
-    image : Images
-        One image, until the next search with the same settings in a window of this size.
-    """
-
-    cell: float
-    image: Images
-
-    @cached_property
-    def from_px(self) -> NDArray[np.float64]:
-        """(3, 3) map of px to cells, integers at cell centres."""
-        s, shift = 1.0 / self.cell, 0.5 / self.cell - 0.5
-        return np.array([[s, 0.0, shift], [0.0, s, shift], [0.0, 0.0, 1.0]])
-
-    @cached_property
-    def to_px(self) -> NDArray[np.float64]:
-        """(3, 3) map of cells to px."""
-        s, shift = self.cell, 0.5 * self.cell - 0.5
-        return np.array([[s, 0.0, shift], [0.0, s, shift], [0.0, 0.0, 1.0]])
-
-
-def _module_sizes(search_pass: SearchPass, ratio: float) -> list[float]:
-    """Sizes from the smallest on; each answers for half a step on either side."""
-    smallest, largest = search_pass.smallest_module_px, search_pass.largest_module_px
-    count = 1 + round(math.log(largest / smallest) / math.log(ratio))
-    return [smallest * ratio**k for k in range(count)]
-
-
-class _Search:
-    """The search in windows of one size of image: its levels, and what runs over them."""
-
-    def __init__(
-        self, events: EventRoom, height: int, width: int, cfg: FinderConfig, search_pass: SearchPass,
-        workspace: Workspace,
-    ) -> None:  # fmt: skip
-        backend, half = workspace.backend, cfg.half
-        side = 2 * half + 1
-        self._basis, self._mix = workspace.mirror((side, side, TERMS)), workspace.mirror((ANGLES, TERMS))
-        self._peaks = workspace.mirror((1, search_pass.peaks, 5))
-        self._matchers: dict[Layout, Matcher] = {
-            Layout.THREE_CORNERS: Triples(self._peaks, search_pass.hypotheses, cfg, workspace),
-            Layout.SINGLE: Singles(self._peaks, search_pass.single_patterns),
-        }
-        disc = workspace.put(spans(cfg))
-        self.pyramid: list[PyramidLevel] = []
-        padded: list[Any] = []
-        modules: list[float] = []
-        for module_px in _module_sizes(search_pass, cfg.scale_ratio):
-            cell = module_px / cfg.cells_a_module
-            rows, columns = math.ceil(height / cell), math.ceil(width / cell)
-            if min(rows, columns) < side:
-                break
-            # a border of zeros, which templates may hang over
-            padded.append(workspace.empty(1, rows + 2 * half, columns + 2 * half))
-            backend.clear(padded[-1])
-            inner = padded[-1][:, half : half + rows, half : half + columns]
-            self.pyramid.append(PyramidLevel(cell, Images(inner)))
-            modules.append(module_px)
-        self._cfg, self._run = cfg, None
-        self._degrees: int | None = None
-        if not self.pyramid:
-            return
-        shapes = [level.image.device.shape[1:] for level in self.pyramid]
-        cell, (rows, columns) = self.pyramid[0].cell, shapes[0]
-        self._region = Region(-0.5, -0.5, cell, rows, columns)
-        self._deposit = Deposit(events, 1, rows, columns, workspace)
-        self._sharpen = Sharpen(self._deposit, BLUR_CELLS, workspace)
-        slots = sum(rows for rows, _ in shapes)
-        a_row = cfg.peaks_a_row
-        maxima = workspace.empty(1, slots, a_row, 5)
-        merging = workspace.scratch("merge_maxima", B=1, N=slots * a_row)
-        busy = workspace.empty(1)
-
-        def launch() -> None:
-            first = 0
-            for k, (level, (rows, columns)) in enumerate(zip(self.pyramid, shapes, strict=True)):
-                if k == 0:
-                    self._deposit.launch()
-                    self._sharpen.launch()
-                    scratch = workspace.scratch("clip_outliers", B=1, Y=rows)
-                    images = self._sharpen.images.device
-                    backend.clip_outliers(images, cfg.clip, *scratch, level.image.device, busy)
-                else:
-                    fine = self.pyramid[k - 1].image.device
-                    sizes = {"Y": fine.shape[1], "X": fine.shape[2], "ratio": cfg.scale_ratio}
-                    scratch = workspace.scratch("reduce_image", B=1, **sizes)
-                    backend.reduce_image(fine, cfg.scale_ratio, *scratch, level.image.device)
-                response = workspace.empty(1, rows, columns)
-                angle = workspace.empty(1, rows, columns, dtype=np.int32)
-                _, tall, wide = padded[k].shape
-                scratch = workspace.scratch("correlate_templates", B=1, N=side, Y=tall, X=wide)
-                # as large a part of each level is busy as of the finest
-                share = math.prod(shapes[0]) / math.prod(shapes[k])
-                backend.correlate_templates(
-                    padded[k], busy, self._basis.device, self._mix.device, disc,
-                    share * search_pass.floor, cfg.min_response, *scratch, response, angle,
-                )  # fmt: skip
-                backend.local_maxima(
-                    response, angle, 0.0, level.cell, modules[k], math.pi / 2 / ANGLES,
-                    maxima[:, first : first + rows],
-                )  # fmt: skip
-                first += rows
-            backend.merge_maxima(
-                maxima.reshape((1, slots * a_row, 5)), 2.0, 1.5 * math.log(cfg.scale_ratio), *merging,
-                self._peaks.device,
-            )  # fmt: skip
-            for matcher in self._matchers.values():
-                matcher.launch()
-
-        self._run = backend.record(launch)
-
-    def __call__(self, window: Window, motion: Motion, lag_px: tuple[float, float] | None) -> Found:
-        """Find what is in a window."""
-        if self._run is None:
-            return Found({}, Peaks(np.empty((0, 5), np.float32)), [])
-        v_x, v_y = motion.velocity.tolist()
-        degrees = round(math.degrees(math.atan2(v_y, v_x)))  # as good as it is known
-        if degrees != self._degrees:
-            basis, mix = bank_along(degrees, self._cfg)
-            self._basis.write(basis)
-            self._mix.write(mix)
-            self._degrees = degrees
-        if lag_px is None:
-            on, off = self._cfg.lag_cells
-            lag_px = on * self._region.cell, off * self._region.cell
-        self._deposit.write(EventBatch.of([window]), [motion], [self._region])
-        self._sharpen.write([motion], [self._region], [[lag_px]])
-        self._run()
-        peaks = self._peaks.read()[0]
-        return Found(self._matchers, Peaks(peaks[: np.count_nonzero(peaks[:, 0])].copy()), self.pyramid)
-
-
-@dataclass(frozen=True, eq=False)
 class Found:
-    """What a search found.
+    """What a search found in a window.
 
     Attributes
     ----------
-    matchers : mapping of Layout to Matcher
-        Who makes hypotheses of the peaks, until the next search.
     peaks : Peaks
         What looks like a finder pattern.
-    pyramid : list of PyramidLevel
-        The images that were searched, finest first; they last until the next search.
+    triples : (N, 5) float32
+        Three of them that could be corners of a code, best first: sum of their responses' magnitudes, index
+        of the peak at the corner, along u and along v, and logarithm of the modules between them.
     """
 
-    matchers: Mapping[Layout, Matcher]
     peaks: Peaks
-    pyramid: list[PyramidLevel]
-
-    def hypotheses(self, layout: Layout) -> list[Hypothesis]:
-        """Give the codes with finder patterns laid out so that might be there, best first."""
-        return self.matchers[layout].read() if self.matchers else []
+    triples: NDArray[np.float32]
 
 
-def find_hypotheses(
-    window: Window,
-    motion: Motion,
+class Finder(Step):
+    """The search in windows whose regions fit into one size."""
+
+    def __init__(
+        self,
+        events: EventRoom,
+        count: int,
+        rows: int,
+        columns: int,
+        cfg: FinderConfig,
+        workspace: Workspace,
+    ) -> None:
+        super().__init__(workspace.backend)
+        self._cfg, self._count, self._workspace = cfg, count, workspace
+        self.pyramid = Pyramid(events, count, rows, columns, cfg, workspace)
+        side = 2 * cfg.half + 1
+        self._basis = workspace.mirror((count, side, side, TERMS))
+        self._mix = workspace.mirror((count, ANGLES, TERMS))
+        self._degrees: list[int | None] = [None] * count
+        layout = self.pyramid.layout
+        self._rows, self._sizes = workspace.put(layout.rows), workspace.put(layout.sizes)
+        self._quiet, self._disc = workspace.put(layout.quiet), workspace.put(spans(cfg))
+        self._extent = workspace.mirror((count, len(self.pyramid.levels), 2), np.int32)
+        self._origin = workspace.mirror((count, 2))
+        self._tolerances = workspace.put(leg_tolerances(cfg))
+        self._peaks = workspace.mirror((count, cfg.peaks, 5))
+        self._triples = workspace.mirror((count, cfg.peaks, cfg.triples_a_corner, 4))
+
+    def write(
+        self,
+        batch: EventBatch,
+        motions: Sequence[Motion],
+        regions: Sequence[Region],
+        lags_px: Sequence[tuple[float, float] | None],
+    ) -> None:
+        """Say where is searched, and along which motions; there may be fewer windows than there is room."""
+        self.pyramid.write(batch, motions, regions, lags_px)
+        self._turn_to(motions)
+        self._extent.host[:] = 0
+        for k, region in enumerate(regions):
+            sides = [
+                (level.rows, level.columns) for level in levels_of(region.height, region.width, self._cfg)
+            ]
+            self._extent.host[k, : len(sides)] = sides
+            self._origin.host[k] = region.x, region.y
+        self._extent.push()
+        self._origin.push()
+
+    def _turn_to(self, motions: Sequence[Motion]) -> None:
+        """Set the templates for the directions of motion."""
+        changed = False
+        for k, motion in enumerate(motions):
+            v_x, v_y = motion.velocity.tolist()
+            degrees = round(math.degrees(math.atan2(v_y, v_x)))  # as good as it is known
+            if degrees != self._degrees[k]:
+                self._basis.host[k], self._mix.host[k] = bank_along(degrees, self._cfg)
+                self._degrees[k], changed = degrees, True
+        if changed:
+            self._basis.push()
+            self._mix.push()
+
+    def launch(self) -> None:
+        """Launch the kernels one by one."""
+        backend, cfg, workspace, count = self._backend, self._cfg, self._workspace, self._count
+        self.pyramid.launch()
+        whole = self.pyramid.images.device
+        _, tall, wide = whole.shape
+        high, across = tall - 2 * cfg.half, wide - 2 * cfg.half
+        response = workspace.empty(count, high, across)
+        angle = workspace.empty(count, high, across, dtype=np.int32)
+        sizes = {"B": count, "N": 2 * cfg.half + 1, "K": len(self.pyramid.levels), "Y": tall, "X": wide}
+        scratch = workspace.scratch("correlate_templates", **sizes)
+        backend.correlate_templates(
+            whole, self.pyramid.busy, self._basis.device, self._mix.device, self._disc, self._rows,
+            self._extent.device, self._quiet, cfg.min_first, cfg.min_response, *scratch, response, angle,
+        )  # fmt: skip
+        maxima = workspace.empty(count, high, cfg.peaks_a_row, 5)
+        backend.local_maxima(
+            response, angle, self._rows, self._extent.device, self._sizes, self._origin.device, 0.0,
+            math.pi / 2 / ANGLES, maxima,
+        )  # fmt: skip
+        many = maxima.reshape((count, high * cfg.peaks_a_row, 5))
+        scratch = workspace.scratch("merge_maxima", B=count, N=high * cfg.peaks_a_row)
+        backend.merge_maxima(many, 2.0, 1.5 * math.log(cfg.scale_ratio), *scratch, self._peaks.device)
+        scratch = workspace.scratch("match_corners", B=count, P=cfg.peaks)
+        backend.match_corners(self._peaks.device, self._tolerances, *scratch, self._triples.device)
+
+    def read(self) -> list[Found]:
+        """Wait for the device and give what was found in each window."""
+        peaks, triples = self._peaks.read(), self._triples.read()
+        return [
+            Found(Peaks(peaks[k, : np.count_nonzero(peaks[k, :, 0])].copy()), in_order(triples[k]))
+            for k in range(len(self.pyramid.regions))
+        ]
+
+
+def in_order(triples: NDArray[np.float32]) -> NDArray[np.float32]:
+    """Give the triples (N, 5) of all corners (P, most, 4), best first."""
+    corner, place = np.nonzero(triples[:, :, 0])
+    found = triples[corner, place]
+    order = np.argsort(-found[:, 0], kind="stable")
+    return np.column_stack([found[:, 0], corner, found[:, 1:]]).astype(np.float32)[order]
+
+
+def find_patterns(
+    batch: EventBatch,
+    motions: Sequence[Motion],
     cfg: FinderConfig,
     *,
     workspace: Workspace,
-    search_pass: SearchPass | None = None,
-    lag_px: tuple[float, float] | None = None,
-) -> Found:
-    """Find finder patterns in a window: what the codes that they could belong to are made up from.
+    lags_px: Sequence[tuple[float, float] | None] | None = None,
+) -> tuple[list[Found], Pyramid]:
+    """Find finder patterns in windows: what the codes that they could belong to are made up from.
 
     Parameters
     ----------
-    window : Window
-        Where to search.
-    motion : Motion
-        Of the codes, at the middle of the window.
+    batch : EventBatch
+        B windows, at least one: where to search.
+    motions : sequence of Motion
+        Of the codes, at the middle of each window.
     cfg : FinderConfig
         Settings.
     workspace : Workspace
         Buffers.
-    search_pass : SearchPass
-        How thoroughly; default the configured last, most thorough one.
-    lag_px : (float, float) [px]
-        Lag of the pixels for ON and OFF events along the motion; default as configured.
+    lags_px : sequence of (float, float) or None [px]
+        Lag of the pixels for ON and OFF events along the motion, a window; None: as configured.
 
     Returns
     -------
-    found : Found
-        Its images last until the next search.
+    found : list of Found
+        One a window.
+    pyramid : Pyramid
+        What was searched; its images last until the next search.
     """
-    search_pass = search_pass or cfg.passes[-1]
-    events = workspace.events(EventBatch.of([window]))
-    search = workspace.once(
-        ("search", events.capacity, window.height, window.width, cfg, search_pass),
-        lambda: _Search(events, window.height, window.width, cfg, search_pass, workspace),
+    events, count = workspace.events(batch), count_for(len(batch))
+    regions = [busy_region(window, cfg) for window in batch.windows]
+    rows, columns = (max(sides) for sides in zip(*((r.height, r.width) for r in regions), strict=True))
+    finder = workspace.once(
+        ("finder", events.capacity, count, rows, columns, cfg),
+        lambda: Finder(events, count, rows, columns, cfg, workspace),
     )
-    return search(window, motion, lag_px)
+    finder.write(batch, motions, regions, lags_px or [None] * len(batch))
+    finder.run()
+    return finder.read(), finder.pyramid

@@ -1,63 +1,61 @@
-"""Codes that might be where finder patterns are, and who makes them up.
-
-One search finds places that look like a finder pattern.  Which codes they could belong to depends on how the
-symbols of a symbology carry them: there is a `Layout` for each way, and a `Matcher` for each layout.
-"""
+"""Codes that might be where finder patterns are."""
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
-from enum import Enum
-from typing import Protocol
 
 import numpy as np
 from numpy.typing import NDArray
 
+from evqr.search.models import sizes
 from evqr.symbol.space import CodeSpace
-
-
-class Layout(Enum):
-    """How symbols carry their finder patterns, in the order in which they are looked for.
-
-    The next one is only looked for where those before it found nothing that agrees well.
-    """
-
-    THREE_CORNERS = "three at the corners of a square, all but the bottom right one"
-    SINGLE = "one"
+from evqr.symbol.symbols import space_of
 
 
 @dataclass(frozen=True, eq=False)
-class Hypothesis:
-    """A code that some finder patterns could belong to.
+class Hypotheses:
+    """N codes that finder patterns of one window could belong to.
 
     Attributes
     ----------
-    space : CodeSpace
-        Kind and size of the code.
-    pose : (3, 3) float64
-        Code coordinates to px.
-    response : float
-        Sum of the responses of its finder patterns.
-    inverted : bool
+    size : (N,) intp
+        Kind and size of the code: which of `evqr.search.models.sizes`.
+    pose : (N, 3, 3) float64
+        Code coordinates to px, affine.
+    peaks : (N, 3) intp
+        The finder patterns: at the corner, along u and along v; three times the same where there is one.
+    inverted : (N,) bool
         Light modules on dark.
-    patterns : int
-        Which finder patterns: hypotheses from the same ones differ in the kind or size of the code.
     """
 
-    space: CodeSpace
+    size: NDArray[np.intp]
     pose: NDArray[np.float64]
-    response: float
-    inverted: bool
-    patterns: int = 0
+    peaks: NDArray[np.intp]
+    inverted: NDArray[np.bool_]
 
+    def __len__(self) -> int:
+        return len(self.size)
 
-class Matcher(Protocol):
-    """Makes hypotheses of the peaks of one search, which are on the device."""
+    def __getitem__(self, which: slice | NDArray) -> Hypotheses:
+        """Give some of them."""
+        return Hypotheses(self.size[which], self.pose[which], self.peaks[which], self.inverted[which])
 
-    def launch(self) -> None:
-        """Launch what the device does of it, behind the search."""
-        ...
+    @classmethod
+    def joined(cls, parts: Sequence[Hypotheses]) -> Hypotheses:
+        """Give those of several, one after another."""
+        some = [part for part in parts if len(part)]
+        if len(some) < 2:
+            return (some or parts)[0]
+        columns = zip(*((part.size, part.pose, part.peaks, part.inverted) for part in some), strict=True)
+        return cls(*(np.concatenate(column) for column in columns))
 
-    def read(self) -> list[Hypothesis]:
-        """Wait for the device and give hypotheses, best first."""
-        ...
+    @property
+    def single(self) -> bool:
+        """Whether they have one finder pattern each."""
+        return bool(len(self)) and self.peaks[0, 0] == self.peaks[0, 1]
+
+    def space(self, which: int) -> CodeSpace:
+        """Give the code space of one."""
+        size = sizes()[self.size[which]]
+        return space_of(size.symbology, size.version)

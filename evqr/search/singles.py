@@ -1,61 +1,157 @@
-"""Symbols with a single finder pattern: Micro QR codes."""
+"""Symbols with a single finder pattern: Micro QR codes.
+
+A peak tells the place of a finder pattern, but size and angle only to half a step of the search; a symbol's
+timing lies further out.  So the pattern itself is aligned first, alone, as if it were a symbol.
+"""
 
 from __future__ import annotations
 
 import functools
-import math
 
 import numpy as np
+from numpy.typing import NDArray
 
-from evqr.search.hypothesis import Hypothesis
-from evqr.symbol.space import Anchor, Landmark, Symbology, Version
-from evqr.symbol.symbols import SYMBOLS, space_of
-from evqr.workspace import Mirror
+from evqr.config import AlignConfig
+from evqr.fit.align import Align
+from evqr.fit.image import count_for
+from evqr.fit.tables import Codes, Level
+from evqr.geometry import compose
+from evqr.search.hypothesis import Hypotheses
+from evqr.search.models import sizes
+from evqr.search.pyramid import Pyramid
+from evqr.symbol.space import Anchor, CodeSpace, Landmark, Symbology
+from evqr.workspace import Workspace
 
 QUARTERS = 4
 """Ways to turn a symbol about its finder pattern, which looks alike turned by a right angle."""
 
+LEVELS = (Level(sigma=0.5, samples=2, tilt=False, tolerance=0.05),)
+"""How a finder pattern is aligned alone."""
+
+SHIFTS = 3
+"""Places of a pattern along an axis that the motion does not show, a module apart."""
+
+SEEN_SHARE = 0.1
+"""Share of the motion along an axis, squared, from which on the pattern's size along it is seen."""
+
 
 @functools.cache
-def _sizes() -> tuple[tuple[Symbology, Version, Anchor], ...]:
-    """All of them, with where they have their finder pattern."""
-    found = []
-    for symbology, symbol in SYMBOLS.items():
-        for version in symbol.sizes:
-            anchors = symbol.anchors(version)
-            if [anchor.kind for anchor in anchors] == [Landmark.FINDER_PATTERN]:
-                found.append((symbology, version, anchors[0]))
-    return tuple(found)
+def _pattern() -> CodeSpace:
+    """Make a symbol of a finder pattern in its separator alone."""
+    values = np.ones((9, 9), np.int8)
+    for edge, value in ((1, -1), (2, 1), (3, -1)):
+        values[edge : 9 - edge, edge : 9 - edge] = value
+    anchors = (Anchor(Landmark.FINDER_PATTERN, 4.5, 4.5),)
+    return CodeSpace(
+        symbology=Symbology.QR_CODE, version="finder pattern", known=values != 0, values=values,
+        anchors=anchors, quiet_zone=0,
+    )  # fmt: skip
 
 
-class Singles:
-    """Peaks (1, N, 5) that are the one finder pattern of a code.
+@functools.cache
+def _single() -> tuple[NDArray[np.intp], NDArray[np.float64]]:
+    """Sizes with one finder pattern in every direction: index, and map (N, 3, 3) of theirs to `_pattern`."""
+    found, maps = [], []
+    for k, size in enumerate(sizes()):
+        if len(size.anchors) == 1:
+            for quarter in range(QUARTERS):
+                cos, sin = (1, 0, -1, 0)[quarter], (0, 1, 0, -1)[quarter]
+                turn = np.array([[cos, -sin, 4.5], [sin, cos, 4.5], [0.0, 0.0, 1.0]])
+                u, v = size.anchors[0].u, size.anchors[0].v
+                turn[:2, 2] -= cos * u - sin * v, sin * u + cos * v
+                found.append(k)
+                maps.append(turn)
+    return np.array(found, np.intp), np.array(maps)
 
-    A peak tells place, size of a module and angle but for right angles; every symbol is tried in each of
-    the four directions that are left.  All of them compete, those of all peaks: one finder pattern is like
-    another, and what tells is around it.
+
+def codes_of_singles(
+    peaks: NDArray[np.float32],
+    which: NDArray[np.intp],
+    window: NDArray[np.intp],
+    direction: NDArray[np.float64],
+    pyramid: Pyramid,
+    cfg: AlignConfig,
+    *,
+    workspace: Workspace,
+) -> Hypotheses:
+    """Give the codes that finder patterns could each be the only one of: all sizes, in all directions.
+
+    Parameters
+    ----------
+    peaks : (N, 5) float32
+        Response, x, y, size of a module and angle.
+    which : (N,) intp
+        Indices of the peaks in their windows.
+    window : (N,) intp
+        The windows of the peaks.
+    direction : (N, 2) float64
+        Of the motion there, of length 1.
+    pyramid : Pyramid
+        What was searched.
+    cfg : AlignConfig
+        Settings.
+    workspace : Workspace
+        Buffers.
+
+    Returns
+    -------
+    hypotheses : Hypotheses
+        As many of each peak, in their order.
     """
+    size, turns = _single()
+    _, x, y, module_px, angle = peaks.T.astype(np.float64)
+    cos, sin = module_px * np.cos(angle), module_px * np.sin(angle)
+    pose = np.zeros((len(peaks), 3, 3))
+    pose[:, 0, 0], pose[:, 0, 1], pose[:, 1, 0], pose[:, 1, 1] = cos, -sin, sin, cos
+    pose[:, 0, 2], pose[:, 1, 2] = x - 4.5 * (cos - sin), y - 4.5 * (sin + cos)
+    pose[:, 2, 2] = 1.0
+    level = pyramid.level_for(pose, cfg.cells_a_module)
+    codes, images, count = Codes.of(workspace), pyramid.images, count_for(len(peaks))
+    numbers = [codes.number(_pattern())] * len(peaks)
+    tables = [codes.poses(each, cfg, numbers) for each in LEVELS]
+    step = images.once(
+        ("finder patterns", count, cfg, tuple(each.version for each in tables)),
+        lambda: Align(images, count, tables, cfg.max_iterations, workspace),
+    )
+    step.write(compose(pyramid.from_px(window, level), pose), window.astype(np.int32), numbers)
+    step.run()
+    refined = compose(pyramid.to_px(window, level), step.read().pose)
+    refined = _as_seen(refined, direction)
+    count = SHIFTS * len(size)
+    return Hypotheses(
+        np.tile(size, SHIFTS * len(peaks)),
+        compose(refined[:, :, None], turns).reshape(-1, 3, 3),
+        np.repeat(which, 3 * count).reshape(-1, 3),
+        np.repeat(peaks[:, 0] < 0.0, count),
+    )
 
-    def __init__(self, peaks: Mirror, most: int) -> None:
-        self._peaks, self._most = peaks, most
 
-    def launch(self) -> None:
-        """Launch nothing: it is all arithmetic of a few numbers."""
+def _as_seen(pose: NDArray[np.float64], direction: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Give poses (N, SHIFTS, 3, 3) of `_pattern` for poses (N, 3, 3), without what the motion does not show.
 
-    def read(self) -> list[Hypothesis]:
-        """Wait for the device and give hypotheses, those of the best peaks first."""
-        peaks = self._peaks.read()[0, : self._most]
-        found = []
-        for response, x, y, module_px, angle in peaks.tolist():
-            if not response:
-                break
-            for symbology, version, anchor in _sizes():
-                for quarter in range(QUARTERS):
-                    turn = angle + quarter * math.pi / 2
-                    cos, sin = module_px * math.cos(turn), module_px * math.sin(turn)
-                    left = x - cos * anchor.u + sin * anchor.v
-                    top = y - sin * anchor.u - cos * anchor.v
-                    pose = np.array([[cos, -sin, left], [sin, cos, top], [0.0, 0.0, 1.0]])
-                    space = space_of(symbology, version)
-                    found.append(Hypothesis(space, pose, abs(response), response < 0.0))
-        return found
+    Edges along the motion cause no events: of a pattern that moves along one of its axes size and place along
+    the other are as good as unknown.  The size is taken to be the same, and the place to be one of several.
+    """
+    (a, b), (c, d) = np.moveaxis(pose[:, :2, :2], 0, -1)
+    det = a * d - b * c
+    u_x, u_y, v_x, v_y = d / det, -b / det, -c / det, a / det  # how u and v grow along x and y
+    m_x, m_y = direction.T
+    share_u, share_v = (u_x * m_x + u_y * m_y) ** 2, (v_x * m_x + v_y * m_y) ** 2
+    share_u = share_u / (share_u + share_v)
+    # turned and scaled alike along both axes, as the better seen says
+    x = share_u * u_x + (1.0 - share_u) * v_y
+    y = share_u * u_y - (1.0 - share_u) * v_x
+    of_u, of_v = (np.minimum(share / SEEN_SHARE, 1.0) for share in (share_u, 1.0 - share_u))
+    u_x, u_y = of_u * u_x + (1.0 - of_u) * x, of_u * u_y + (1.0 - of_u) * y
+    v_x, v_y = of_v * v_x - (1.0 - of_v) * y, of_v * v_y + (1.0 - of_v) * x
+    det = u_x * v_y - u_y * v_x
+    seen = np.zeros_like(pose)
+    seen[:, 0, 0], seen[:, 0, 1], seen[:, 1, 0], seen[:, 1, 1] = v_y / det, -u_y / det, -v_x / det, u_x / det
+    # about the centre of the pattern
+    seen[:, :2, 2] = pose[:, :2, 2] + 4.5 * (pose[:, :2, :2] - seen[:, :2, :2]).sum(axis=2)
+    seen[:, 2, 2] = 1.0
+    shifted = np.repeat(seen[:, None], SHIFTS, axis=1)
+    steps = np.arange(SHIFTS) - SHIFTS // 2
+    hidden = (1.0 - of_u)[:, None] * seen[:, :2, 0] + (1.0 - of_v)[:, None] * seen[:, :2, 1]
+    shifted[:, :, :2, 2] += steps[:, None] * hidden[:, None]
+    return shifted

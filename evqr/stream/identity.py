@@ -6,8 +6,7 @@ stood still for a while.  If it moved on, its velocity changed by no more than i
     c1 - c0 = T (v0 + v1) / 2,
 
 which is exact where the velocity changes evenly.  Both velocities count: by that of the earlier sighting
-alone, a thing that comes back the other way may well be where the first would be by now.  In a time so short
-that they lead to the same place they may differ, as measured over few windows.  If it stood still,
+alone, a thing that comes back the other way may well be where the first would be by now.  If it stood still,
 it came to rest soon after c0 and set off shortly before c1.  Either way it has the size that it had, and has
 turned no more than it was turning.
 """
@@ -144,9 +143,7 @@ def _moved_on(
 ) -> float:  # fmt: skip
     """Give how far off a code is that moved all the time."""
     speed, later_speed = abs(before), abs(after)
-    # what a change of velocity leads to: in a short time to nothing that would tell two codes apart
-    change = cfg.same_velocity * max(speed, later_speed) + acceleration * seconds
-    if seconds * (abs(after - before) - change) > most_px:
+    if abs(after - before) > cfg.same_velocity * max(speed, later_speed) + acceleration * seconds:
         return math.inf
     unsure = 0.5 * cfg.same_velocity * 0.5 * seconds * (speed + later_speed)
     return _share(abs(way - 0.5 * seconds * (before + after)), min(least_px + unsure, most_px))

@@ -19,6 +19,7 @@ from typing import NamedTuple
 
 from evqr.clock import StageClock
 from evqr.events.array import EventArray
+from evqr.events.batch import EventBatch
 from evqr.events.buffer import Asking, EventBuffer
 from evqr.events.window import Window
 from evqr.fit.detection import Detection, NotFound
@@ -54,7 +55,7 @@ class _Try:
     start_us: int
     motion: Motion | None
     window: Window | None
-    found: Detection | NotFound
+    found: tuple[Detection, ...] | NotFound
 
 
 class StreamScheduler:
@@ -93,7 +94,7 @@ class StreamScheduler:
         self._waiting: list[_Waiting] = []
         self._order = itertools.count()
         self._searching: Asking[None] | None = None
-        self._search_us = self._in_vain = 0
+        self._search_us = 0
         self._tracks: list[Track] = []
         self._lost: list[Track] = []
         self._motion: Motion | None = None
@@ -248,18 +249,14 @@ class StreamScheduler:
         """Search at a time, and ahead of it on the other threads, and say when to search again [us]."""
         tries = yield from self._tries(at_us)
         last = next(
-            (k for k, tried in enumerate(tries) if isinstance(tried.found, Detection)), len(tries) - 1
+            (k for k, tried in enumerate(tries) if not isinstance(tried.found, NotFound)), len(tries) - 1
         )
         for tried in tries[: last + 1]:  # what was searched behind a find will be searched again
             self._searches += 1
             self._windows += tried.window is not None
             self._take(tried)
-        in_vain = not isinstance(tries[last].found, Detection)
-        self._in_vain = self._in_vain + 1 if in_vain and self._sure else 0
         motion, start_us = tries[last].motion, tries[last].start_us
         if motion is None:
-            if not self._tracks:  # what comes next may have any speed
-                self._motion = None
             return start_us + self._config.scheduler.unknown_us
         self._motion = motion
         return start_us + self._step_us(motion)
@@ -276,15 +273,11 @@ class StreamScheduler:
         yield at_us, at_us + (len(asking) - 1) * step + most
         return list(self._pool.map(self._events.answer, asking))
 
-    @property
-    def _sure(self) -> bool:
-        """Whether a code is followed that was read."""
-        return any(track.reading is not None for track in self._tracks)
-
     def _step_us(self, motion: Motion) -> int:
         """Time between two searches [us]."""
         cfg = self._config.scheduler
-        travel = self._config.search_px * (cfg.seldom if self._sure else 1.0)
+        sure = any(track.reading is not None for track in self._tracks)
+        travel = self._config.search_px * (cfg.seldom if sure else 1.0)
         step = max(self._solver.window_us(motion), round(motion.travel_time_us(travel)))
         return min(step, cfg.longest_us)
 
@@ -304,24 +297,26 @@ class StreamScheduler:
         if not self._events.reaches(end_us):
             ends = NotFound(Reason.RECORDING_ENDS, closest=-1.0, timings_ms=clock.ms)
             return _Try(at_us, motion, None, ends)
-        thorough = self._in_vain % self._config.scheduler.thorough_every == 0
-        found = solver.find(self._outside_tracks(window), motion, tau_us=self._tau_us, thorough=thorough)
-        clock.add(found.timings_ms)
-        return _Try(at_us, motion, window, replace(found, timings_ms=clock.ms))
+        alone = EventBatch.of([self._outside_tracks(window)])
+        (found,) = solver.find(alone, [motion], tau_us=[self._tau_us])
+        if isinstance(found, NotFound):
+            clock.add(found.timings_ms)
+            return _Try(at_us, motion, window, replace(found, timings_ms=clock.ms))
+        best, *others = found
+        clock.add(best.timings_ms)
+        return _Try(at_us, motion, window, (replace(best, timings_ms=clock.ms), *others))
 
     def _take(self, tried: _Try) -> None:
-        """Follow the codes that a search found: one, and those beside it."""
+        """Follow the codes that a search found."""
         found, codes = tried.found, 0
-        while isinstance(found, Detection) and tried.window is not None and tried.motion is not None:
-            track = Track(found, tried.window, self._solver)
-            self._tracks.append(track)
-            self._merge_with_earlier(track)
-            self._start(self._follow(track), FOLLOW)
-            codes += 1
-            if codes == self._config.scheduler.codes_a_search:
-                break
-            window = self._outside_tracks(tried.window)
-            found = self._solver.find(window, tried.motion, tau_us=self._tau_us)
+        if not isinstance(found, NotFound):
+            assert tried.window is not None
+            for code in found[: self._config.scheduler.codes_a_search]:
+                track = Track(code, tried.window, self._solver)
+                self._tracks.append(track)
+                self._merge_with_earlier(track)
+                self._start(self._follow(track), FOLLOW)
+                codes += 1
         not_found = found if isinstance(found, NotFound) else None
         if not_found is not None:
             self._clock.add(not_found.timings_ms)

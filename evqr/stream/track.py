@@ -186,9 +186,13 @@ class Track:
 
     def _find_again(self, window: Window) -> None:
         """Search for the code from cold: what went wrong stays wrong while the code is followed."""
-        found = self._solver.find(window, self.detection.motion, thorough=False)
-        self._clock.add(found.timings_ms)
-        if isinstance(found, NotFound) or found.score < self.detection.score - SCORES_ALIKE:
+        (codes,) = self._solver.find(EventBatch.of([window]), [self.detection.motion])
+        if isinstance(codes, NotFound):
+            self._clock.add(codes.timings_ms)
+            return
+        self._clock.add(codes[0].timings_ms)
+        found = min(codes, key=lambda code: float(np.hypot(*(code.centre - self.detection.centre))))
+        if found.score < self.detection.score - SCORES_ALIKE:
             return
         space, apart = self.detection.space, float(np.hypot(*(found.centre - self.detection.centre)))
         if apart > SAME_CENTRE * space.size * module_px(self.detection.pose, space.shape):

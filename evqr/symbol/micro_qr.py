@@ -16,7 +16,7 @@ from evqr.symbol.decoded import Decoded, DecodeFailure, Effort
 from evqr.symbol.qr_codewords import HALF_CODEWORDS, roles_of
 from evqr.symbol.qr_decode import Evidence, decode_words
 from evqr.symbol.reed_solomon import Symbols
-from evqr.symbol.space import Anchor, CodeSpace, Landmark, Symbology
+from evqr.symbol.space import Anchor, CodeSpace, Landmark, Symbology, Timing
 
 QUIET_ZONE = 2
 M1_DIGITS = 5
@@ -30,6 +30,12 @@ SIZES: Mapping[str, tuple[int, int]] = MappingProxyType(
 def anchors(version: str) -> tuple[Anchor, ...]:
     """Return the finder pattern of a version: they all have it at their corner."""
     return (Anchor(Landmark.FINDER_PATTERN, 3.5, 3.5),)
+
+
+def timing(version: str) -> tuple[Timing, ...]:
+    """Return the timing patterns of a version, along two of its edges."""
+    count = SIZES[version][0] - 8
+    return Timing(8.5, 0.5, True, count, QUIET_ZONE), Timing(0.5, 8.5, False, count, QUIET_ZONE)
 
 
 @functools.cache

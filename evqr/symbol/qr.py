@@ -20,7 +20,7 @@ from evqr.symbol.decoded import Decoded, DecodeFailure, Effort
 from evqr.symbol.qr_codewords import roles_of
 from evqr.symbol.qr_decode import Evidence, decode_words
 from evqr.symbol.reed_solomon import Symbols
-from evqr.symbol.space import Anchor, CodeSpace, Landmark, Symbology
+from evqr.symbol.space import Anchor, CodeSpace, Landmark, Symbology, Timing
 
 MIN_VERSION = 1
 MAX_VERSION = 40
@@ -78,6 +78,12 @@ def anchors(version: int) -> tuple[Anchor, ...]:
     """Return the finder patterns of a version: at its corner, along u and along v."""
     near, far = 3.5, size_of(version) - 3.5
     return tuple(Anchor(Landmark.FINDER_PATTERN, u, v) for u, v in ((near, near), (far, near), (near, far)))
+
+
+def timing(version: int) -> tuple[Timing, ...]:
+    """Return the timing patterns of a version, between its finder patterns."""
+    count = size_of(version) - 16
+    return Timing(8.5, 6.5, True, count), Timing(6.5, 8.5, False, count)
 
 
 @functools.cache

@@ -83,6 +83,30 @@ class Anchor:
     v: float
 
 
+@dataclass(frozen=True)
+class Timing:
+    """Modules in a line, dark and light in turn, the first and the last of them dark.
+
+    Attributes
+    ----------
+    u, v : float [modules]
+        Centre of the first, column and row from the outer corner of the top-left module.
+    along_u : bool
+        Whether the line runs along u, or along v.
+    count : int
+        Modules of the line.
+    quiet : int
+        Modules of quiet zone that are known to lie behind its end; before it, and behind it where there are
+        none, is a separator.
+    """
+
+    u: float
+    v: float
+    along_u: bool
+    count: int
+    quiet: int = 0
+
+
 @dataclass(frozen=True, kw_only=True)
 class CodeSpace:
     """A kind of symbol in one size; equal where symbology and version are.

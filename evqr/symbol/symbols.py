@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 from evqr.config import DecodeConfig
 from evqr.symbol import micro_qr, qr
 from evqr.symbol.decoded import Decoded, DecodeFailure, Effort
-from evqr.symbol.space import Anchor, CodeSpace, Symbology, Version
+from evqr.symbol.space import Anchor, CodeSpace, Symbology, Timing, Version
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -29,6 +29,8 @@ class Symbol:
         Rows and columns of every version, the smallest first; known without loading anything.
     anchors : callable
         Gives what the search looks for in a version, as its code space does, without loading anything.
+    timing : callable
+        Gives the timing patterns of a version, as its code space has them, likewise.
     space : callable
         Gives the code space of a version.
     decode : callable
@@ -38,15 +40,22 @@ class Symbol:
 
     sizes: Mapping[Any, tuple[int, int]]
     anchors: Callable[[Any], tuple[Anchor, ...]]
+    timing: Callable[[Any], tuple[Timing, ...]]
     space: Callable[[Any], CodeSpace]
     decode: Callable[[NDArray[np.float64], CodeSpace, DecodeConfig, Effort], Decoded | DecodeFailure]
 
 
 SYMBOLS: Mapping[Symbology, Symbol] = MappingProxyType(
     {
-        Symbology.QR_CODE: Symbol(sizes=qr.SIZES, anchors=qr.anchors, space=qr.space, decode=qr.decode),
+        Symbology.QR_CODE: Symbol(
+            sizes=qr.SIZES, anchors=qr.anchors, timing=qr.timing, space=qr.space, decode=qr.decode
+        ),
         Symbology.MICRO_QR_CODE: Symbol(
-            sizes=micro_qr.SIZES, anchors=micro_qr.anchors, space=micro_qr.space, decode=micro_qr.decode
+            sizes=micro_qr.SIZES,
+            anchors=micro_qr.anchors,
+            timing=micro_qr.timing,
+            space=micro_qr.space,
+            decode=micro_qr.decode,
         ),
     }
 )

@@ -7,30 +7,36 @@ import math
 import numpy as np
 from numpy.lib.stride_tricks import sliding_window_view
 
+from evqr_kernels.numpy_backend.levels import parts_of_levels
 
-def local_maxima(response, angle, least, cell, size, turn, maxima_out) -> None:
-    """Find the local maxima of a level, the strongest of each row; overwrites."""
+
+def local_maxima(response, angle, rows, extent, levels, origin, least, turn, maxima_out) -> None:
+    """Find the local maxima of all levels, the strongest of each row; overwrites."""
     maxima_out[:] = 0
-    strength = np.abs(response)
-    around = sliding_window_view(response, (3, 3), axis=(1, 2))
-    inner = response[:, 1:-1, 1:-1]
-    extreme = np.where(inner > 0.0, inner >= around.max(axis=(3, 4)), inner <= around.min(axis=(3, 4)))
-    top = extreme & (strength[:, 1:-1, 1:-1] > least)
-    for b, y in np.argwhere(top.any(axis=2)):
-        x = np.flatnonzero(top[b, y]) + 1
-        y = y + 1
-        best = np.sort(np.argsort(-strength[b, y, x], kind="stable")[: maxima_out.shape[2]])
-        for k, column in enumerate(x[best]):
-            sign = np.sign(response[b, y, column])
-            across = _vertex(*(sign * response[b, y, column - 1 : column + 2]))
-            down = _vertex(*(sign * response[b, y - 1 : y + 2, column]))
-            maxima_out[b, y, k] = (
-                response[b, y, column],
-                (column + across + 0.5) * cell - 0.5,
-                (y + down + 0.5) * cell - 0.5,
-                size,
-                angle[b, y, column] * turn,
-            )
+    for b, k, part in parts_of_levels(rows, extent):
+        here = response[b][part]
+        if min(here.shape) < 3:
+            continue
+        cell, size = levels[k]
+        top, strength = part[0].start, np.abs(here)
+        around = sliding_window_view(here, (3, 3))
+        inner = here[1:-1, 1:-1]
+        extreme = np.where(inner > 0.0, inner >= around.max(axis=(2, 3)), inner <= around.min(axis=(2, 3)))
+        high = extreme & (strength[1:-1, 1:-1] > least)
+        for y in np.flatnonzero(high.any(axis=1)) + 1:
+            x = np.flatnonzero(high[y - 1]) + 1
+            best = np.sort(np.argsort(-strength[y, x], kind="stable")[: maxima_out.shape[2]])
+            for place, column in enumerate(x[best]):
+                sign = np.sign(here[y, column])
+                across = _vertex(*(sign * here[y, column - 1 : column + 2]))
+                down = _vertex(*(sign * here[y - 1 : y + 2, column]))
+                maxima_out[b, top + y, place] = (
+                    here[y, column],
+                    origin[b, 0] + (column + across + 0.5) * cell,
+                    origin[b, 1] + (y + down + 0.5) * cell,
+                    size,
+                    angle[b, top + y, column] * turn,
+                )
 
 
 def _vertex(before: float, here: float, after: float) -> float:

@@ -107,6 +107,15 @@ def _packed(given: Sizes, dtype: np.dtype[Any]) -> Any:
     return settings
 
 
+def _models(arrays: Arrays, sizes: Sizes) -> None:
+    ptr = arrays["model_ptr"]
+    if not isinstance(ptr, np.ndarray):
+        return
+    ends = ptr[:, 0].min(initial=0), ptr[:, 2].max(initial=0)
+    if (np.diff(ptr, axis=1) < 0).any() or ends[0] < 0 or ends[1] > sizes["S"]:
+        raise ValueError(f"rows of model_ptr must be 0 to {sizes['S']} and not decrease")
+
+
 OPERATIONS = (
     Operation(
         name="sample_moments",
@@ -152,6 +161,21 @@ OPERATIONS = (
         ),
         parameters=tuple(map(setting, ("centre", "scale", "ridge", "damping", "tolerance"))),
         check=_alignable,
+    ),
+    Operation(
+        name="score_poses",
+        file="pose_score",
+        arguments=(
+            floats("image", "B", "Y", "X"),
+            ints("image_idx", "N", index="B"),
+            floats("pose", "N", 9),
+            ints("model_idx", "N", index="K"),
+            ints("model_ptr", "K", 3),
+            floats("model", "S", 4),
+            setting("ridge", 0.0),
+            overwritten("score_out", "N", 3),
+        ),
+        check=_models,
     ),
     Operation(
         name="pose_normal_equations",

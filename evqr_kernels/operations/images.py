@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from typing import Any
 
+import numpy as np
 from numpy.typing import NDArray
 
 from evqr_kernels.operation import (
@@ -13,6 +14,7 @@ from evqr_kernels.operation import (
     Sizes,
     Variant,
     floats,
+    in_part,
     in_place,
     ints,
     overwritten,
@@ -41,9 +43,33 @@ def _odd_surface(arrays: Arrays, sizes: Sizes) -> None:
         raise ValueError(f"half must be at most {most} for {sizes['N']} entries, got {sizes['half']}")
 
 
-def _interior(arrays: Arrays, sizes: Sizes) -> None:
-    if min(sizes["Y"], sizes["X"]) < 3:
-        raise ValueError(f"response must have at least 3 rows and columns, got {sizes['Y']} and {sizes['X']}")
+def _within(arrays: Arrays, height: int, width: int) -> None:
+    """Refuse levels that do not lie in the response, where the host can read where they lie."""
+    rows, extent = arrays["rows"], arrays["extent"]
+    if not (isinstance(rows, np.ndarray) and isinstance(extent, np.ndarray)):
+        return
+    levels = extent.shape[1]
+    if rows[:, 0].max(initial=-1) >= levels:
+        raise ValueError(f"rows must be of levels up to {levels - 1}, got {rows[:, 0].max()}")
+    for k in range(levels):
+        of_level = rows[rows[:, 0] == k, 1]
+        if (of_level != np.arange(len(of_level))).any():
+            raise ValueError(f"rows of level {k} must be 0, 1, ..., got {of_level.tolist()}")
+        if extent[:, k, 0].max(initial=0) > len(of_level):
+            raise ValueError(f"extent must be at most {len(of_level)} rows of level {k}")
+    if extent.min(initial=0) < 0 or extent[..., 1].max(initial=0) > width:
+        raise ValueError(f"extent must be 0 to {width} columns")
+
+
+def _levels(arrays: Arrays, sizes: Sizes) -> None:
+    high, wide = (max(0, sizes[side] - sizes["N"] + 1) for side in "YX")
+    if sizes["R"] != high:
+        raise ValueError(f"rows must have shape (R, 2) with R = {high}, got {tuple(arrays['rows'].shape)}")
+    _within(arrays, high, wide)
+
+
+def _levels_of_response(arrays: Arrays, sizes: Sizes) -> None:
+    _within(arrays, sizes["Y"], sizes["X"])
 
 
 def _spans(spans: NDArray[Any]) -> None:
@@ -107,6 +133,7 @@ OPERATIONS = (
             scratch("rows_out", "B", "ceil(Y / ratio)", "X"),
             overwritten("image_out", "B", "ceil(Y / ratio)", "ceil(X / ratio)"),
         ),
+        variants=(Variant(rows=8, device="cpu"), Variant()),
     ),
     Operation(
         name="mix_images",
@@ -130,18 +157,23 @@ OPERATIONS = (
         arguments=(
             floats("image", "B", "Y", "X"),
             floats("busy", "B"),
-            floats("basis", "N", "N", 5),
-            floats("mix", "A", 5),
+            floats("basis", "B", "N", "N", 5),
+            floats("mix", "B", "A", 5),
             ints("spans", "N", 2, check=_spans),
-            setting("quiet", 0.0),
+            ints("rows", "R", 2),
+            ints("extent", "B", "K", 2),
+            floats("quiet", "K"),
+            setting("first", 0.0),
             setting("least", 0.0),
             scratch("squares_out", "B", "Y + 1", "X"),
-            scratch("floor_out", "B"),
+            scratch("floor_out", "B", "K"),
             scratch("sums_out", "B", 6, *RESPONSE[1:]),
-            overwritten("response_out", *RESPONSE),
-            overwritten("angle_out", *RESPONSE, integer=True),
+            in_part("response_out", *RESPONSE),
+            in_part("angle_out", *RESPONSE, integer=True),
         ),
-        variants=(Variant(tile=16, width=16, device="cpu"), Variant(tile=4, width=4), Variant()),
+        # the first term alone has few sums to keep, so that more neighbours are taken together on a CPU
+        variants=(Variant(tile=16, rows=4, width=16, device="cpu"), Variant(tile=4, width=4), Variant()),
+        check=_levels,
     ),
     Operation(
         name="local_maxima",
@@ -149,16 +181,18 @@ OPERATIONS = (
         arguments=(
             floats("response", "B", "Y", "X"),
             ints("angle", "B", "Y", "X"),
+            ints("rows", "Y", 2),
+            ints("extent", "B", "K", 2),
+            floats("levels", "K", 2),
+            floats("origin", "B", 2),
             setting("least", 0.0),
-            setting("cell", 0.0),
-            setting("size", 0.0),
             setting("turn"),
             overwritten("maxima_out", "B", "Y", "most", 5),
         ),
         parameters=(size("most", least=1),),
         # passed over together where all of them are 0, as most are; a GPU's registers do not hold them
         variants=(Variant(tile=8, device="cpu"), Variant()),
-        check=_interior,
+        check=_levels_of_response,
     ),
     Operation(
         name="merge_maxima",

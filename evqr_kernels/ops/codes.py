@@ -13,6 +13,7 @@ __all__ = [
     "pull_modules",
     "sample_moments",
     "sample_moments_adjoint",
+    "score_poses",
     "solve_code",
 ]
 
@@ -181,6 +182,54 @@ def align_poses(
     Cost: an iteration takes a pass over all points, as `sample_moments` does, and a few thousand
     multiply-adds; one pass more scores the last pose.  One thread a pose, which stops when its pose does; no
     scratch.  The Gram matrix, S C^2 multiply-adds, is made by NumPy.
+
+    Determinism: bit for bit.
+    """
+    ...
+
+
+@checked
+def score_poses(
+    image: Floats, image_idx: Ints, pose: Floats, model_idx: Ints, model_ptr: Ints, model: Floats, *,
+    ridge: float = 1e-3, backend: str = "auto", device: str | None = None,
+) -> Floats:  # fmt: skip
+    """Correlate images seen through poses with models of few points, of any number of kinds in one call.
+
+    Parameters
+    ----------
+    image, image_idx, pose
+        As in `sample_moments`.
+    model_idx : (N,) int32
+        The model that each pose is of.
+    model_ptr : (K, 3) int32
+        Of each model its first point, the first point of its second part, and the one behind its last.
+    model : (S, 4) float [modules, modules, any, any]
+        Code coordinates (u, v), and the slope of what is printed along u and along v there.
+    ridge : float [1]
+        Regularises the gain, relative to the trace of its Gram matrix.
+    backend, device : str
+        See `evqr_kernels.ops`.
+
+    Returns
+    -------
+    score : (N, 3) float [1]
+        Correlation with the model, -1 to 1, for the gain that fits it best: of all its points, of the first
+        part and of the second; 0 of no points.
+
+    Raises
+    ------
+    ValueError
+        If an entry of ``image_idx`` is not 0 to B - 1, one of ``model_idx`` not 0 to K - 1, a row of
+        ``model_ptr`` is not in order, or ``ridge`` is less than 0.
+
+    See Also
+    --------
+    align_poses
+
+    Notes
+    -----
+    Cost: a projection, a look at four pixels and six multiply-adds a pose and point, by one thread a pose; no
+    scratch.
 
     Determinism: bit for bit.
     """

@@ -233,8 +233,11 @@ def correlate_templates(
     basis: Floats,
     mix: Floats,
     spans: Ints,
+    rows: Ints,
+    extent: Ints,
+    quiet: Floats,
     *,
-    quiet: float,
+    first: float = 0.0,
     least: float = 0.0,
     backend: str = "auto",
     device: str | None = None,
@@ -244,17 +247,25 @@ def correlate_templates(
     Parameters
     ----------
     image : (B, Y, X) float [any]
-        The images.
+        The images, or K levels of pyramids, one below the other, with N - 1 rows and columns of zeros or more
+        between them.
     busy : (B,) float [px]
         Pixels that the energy of the image is spread over: see `clip_outliers`.
-    basis : (N, N, 5) float [1]
-        Five templates, orthonormal.
-    mix : (A, 5) float [1]
+    basis : (B, N, N, 5) float [1]
+        Five templates, orthonormal, for each image.
+    mix : (B, A, 5) float [1]
         Mixture of the basis that each of A templates is, no longer than 1.
     spans : (N, 2) int32
         In each column of a template the first row that counts, and the one behind the last.
-    quiet : float [1]
+    rows : (R, 2) int32
+        R = Y - N + 1: of each row of the response the level, or -1, and which row of the level it is, from 0
+        on.
+    extent : (B, K, 2) int32
+        Rows and columns of each level that are the image's own; the rest is not looked at.
+    quiet : (K,) float [1]
         Energy, relative to that of busy pixels, up to which a place is quiet: its response is 0.
+    first : float [1]
+        Magnitude of the first template of the basis, normalised likewise, below which a response is 0.
     least : float [1]
         Magnitude below which a response is 0.
     backend, device : str
@@ -263,14 +274,15 @@ def correlate_templates(
     Returns
     -------
     response : (B, Y - N + 1, X - N + 1) float [1]
-        Of the best template at each place, its sign kept.
+        Of the best template at each place within the extent, its sign kept.
     angle : (B, Y - N + 1, X - N + 1) int32
         Index of that template; 0 where the response is 0.
 
     Raises
     ------
     ValueError
-        If ``spans`` are not 0 to N or decrease within a column, or ``quiet`` or ``least`` is less than 0.
+        If ``spans`` are not 0 to N or decrease within a column, ``rows`` or ``extent`` do not lie in the
+        response, or ``first`` or ``least`` is less than 0.
 
     See Also
     --------
@@ -279,9 +291,10 @@ def correlate_templates(
     Notes
     -----
     Cost: one multiply-add a pixel for running sums and 2 N additions a place for its energy; where that is
-    not quiet, 5 multiply-adds a place and pixel that counts, of which there are up to N^2, and 5 A more; four
-    passes.  Quiet places are left out by blocks of 16 on a CPU, of 4 on a GPU.  Scratch: a copy of the image,
-    (B, Y + 1, X), (B,), and six of the response's size.
+    not quiet, one multiply-add a place and pixel that counts, of which there are up to N^2; where the first
+    template answers, 4 more, and 5 A; five passes.  Places are left out by blocks of 16 on a CPU, of 4 on a
+    GPU.  Scratch: a copy of the image,
+    (B, Y + 1, X), (B, K), and six of the response's size.
 
     Determinism: bit for bit.
     """
@@ -292,29 +305,35 @@ def correlate_templates(
 def local_maxima(
     response: Floats,
     angle: Ints,
+    rows: Ints,
+    extent: Ints,
+    levels: Floats,
+    origin: Floats,
     *,
     least: float,
-    cell: float,
-    size: float,
     turn: float,
     most: int = 8,
     backend: str = "auto",
     device: str | None = None,
 ) -> Floats:
-    """Find the local maxima and minima of a response in the interior of a level.
+    """Find the local maxima and minima of a response in the interior of each level.
 
     Parameters
     ----------
     response : (B, Y, X) float [any]
-        Y and X at least 3.
+        Of K levels, one below the other.
     angle : (B, Y, X) int32
         Index of the template of each response.
+    rows : (Y, 2) int32
+        Of each row the level, or -1, and which row of the level it is: 0, 1, ...
+    extent : (B, K, 2) int32
+        Rows and columns of each level that are the image's own; the rest is not looked at.
+    levels : (K, 2) float [px]
+        Of each level the size of an entry, and what is written to its maxima: what it stands for.
+    origin : (B, 2) float [px]
+        Outer corner (x, y) of the first entry of every level.
     least : float [of response]
         Magnitude that a maximum exceeds.
-    cell : float [px]
-        Size of an entry.
-    size : float [px]
-        Written to the maxima: what the level stands for.
     turn : float [rad]
         Angle of one step of ``angle``.
     most : int
@@ -330,7 +349,8 @@ def local_maxima(
     Raises
     ------
     ValueError
-        If Y or X is less than 3, ``least``, ``cell`` or ``size`` less than 0, or ``most`` less than 1.
+        If ``rows`` or ``extent`` do not lie in the response, ``least`` is less than 0, or ``most`` less than
+        1.
 
     See Also
     --------

@@ -22,17 +22,15 @@ def make_local_maxima(dtype):
         curvature = ti.max(dtype(2.0) * here - before - after, dtype(1.0e-9))
         return ti.max(dtype(-0.5), ti.min(dtype(0.5) * (after - before) / curvature, dtype(0.5)))
 
-    @ti.func
-    def place(cells, cell):
-        return (cells + dtype(0.5)) * cell - dtype(0.5)
-
     @ti.kernel
     def local_maxima(
         response: array(dtype, 3),
         angle: array(ti.i32, 3),
+        rows: array(ti.i32, 2),
+        extent: array(ti.i32, 3),
+        levels: array(dtype, 2),
+        origin: array(dtype, 2),
         least: dtype,
-        cell: dtype,
-        size: dtype,
         turn: dtype,
         maxima_out: array(dtype, 4),
     ):
@@ -41,9 +39,18 @@ def make_local_maxima(dtype):
             for k in range(most):
                 for c in ti.static(range(PEAK)):
                     maxima_out[b, y, k, c] = dtype(0.0)
-            inner = y > 0 and y < response.shape[1] - 1
+            level = rows[y, 0]
+            row = rows[y, 1]
+            end = 1
+            cell = dtype(0.0)
+            size = dtype(0.0)
+            if level >= 0:
+                cell = levels[level, 0]
+                size = levels[level, 1]
+                if row > 0 and row < extent[b, level, 0] - 1:
+                    end = extent[b, level, 1] - 1
             count = 0
-            for x in range(1, ti.select(inner, response.shape[2] - 1, 1)):
+            for x in range(1, end):
                 here = ti.abs(response[b, y, x])
                 if here > least:
                     sign = ti.select(response[b, y, x] > dtype(0.0), dtype(1.0), dtype(-1.0))
@@ -69,8 +76,10 @@ def make_local_maxima(dtype):
                             above = sign * response[b, y - 1, x]
                             below = sign * response[b, y + 1, x]
                             maxima_out[b, y, count, 0] = response[b, y, x]
-                            maxima_out[b, y, count, 1] = place(dtype(x) + vertex(left, here, right), cell)
-                            maxima_out[b, y, count, 2] = place(dtype(y) + vertex(above, here, below), cell)
+                            across = dtype(x) + vertex(left, here, right) + dtype(0.5)
+                            down = dtype(row) + vertex(above, here, below) + dtype(0.5)
+                            maxima_out[b, y, count, 1] = origin[b, 0] + across * cell
+                            maxima_out[b, y, count, 2] = origin[b, 1] + down * cell
                             maxima_out[b, y, count, 3] = size
                             maxima_out[b, y, count, 4] = dtype(angle[b, y, x]) * turn
                             count += 1
@@ -78,9 +87,12 @@ def make_local_maxima(dtype):
     return local_maxima
 
 
-def local_maxima(response, angle, least: float, cell: float, size: float, turn: float, maxima_out) -> None:
+def local_maxima(
+    response, angle, rows, extent, levels, origin, least: float, turn: float, maxima_out
+) -> None:
     """Launch; overwrites."""
-    launch(make_local_maxima(float_of(response)), response, angle, least, cell, size, turn, maxima_out)
+    kernel = make_local_maxima(float_of(response))
+    launch(kernel, response, angle, rows, extent, levels, origin, least, turn, maxima_out)
 
 
 @cache

@@ -83,17 +83,13 @@ def has_float64(device: str) -> bool:
 
 @cache
 def cache_dir() -> str:
-    """Give the directory where Taichi keeps compiled kernels; "" for its fork, which does not tell.
-
-    Another than its own where that cannot be written.
+    """Give the directory where Taichi keeps compiled kernels, another than its own where that is read-only.
 
     Raises
     ------
     BackendUnavailable
         There is none that can be written: Taichi would end in a crash.
     """
-    if ti.__name__ != "taichi":
-        return ""
     wanted = os.environ.get(PLACE) or os.path.expanduser("~/.cache/taichi/ticache")
     with contextlib.suppress(OSError):
         os.makedirs(wanted, exist_ok=True)
@@ -119,14 +115,13 @@ def cache_dir() -> str:
 def _start(device: str) -> None:
     if device not in devices():
         raise ValueError(f"device of taichi must be one of {', '.join(devices())}, got {device!r}")
-    place = cache_dir()
     with environment(TI_SKIP_VERSION_CHECK="ON"), contextlib.redirect_stdout(io.StringIO()):
         ti.init(
             arch=getattr(ti, _DEVICES[device]),
             enable_fallback=False,
             fast_math=False,  # which takes for granted that no coordinate is NaN
             offline_cache=True,
-            **({"offline_cache_file_path": place} if place else {}),
+            offline_cache_file_path=cache_dir(),
             log_level=ti.WARN,
             unrolling_limit=0,  # no warning of a wide splat's many taps
         )

@@ -21,7 +21,7 @@ from functools import cache
 import warp as wp
 
 from evqr_kernels.warp_backend.language import launch, module_of, neighbours, vector
-from evqr_kernels.warp_backend.pose import make_bilinear
+from evqr_kernels.warp_backend.pose import make_bilinear, make_project
 
 BLOCK = 8
 """Neighbouring modules, or samples of them, done together, where there are as many."""
@@ -38,6 +38,7 @@ def reach_of(profile: int, samples_a_module: int) -> int:
 def make_sample_lattice(dtype: type) -> wp.Kernel:
     """Build the first pass; launch: one thread per (window, lattice row).  ``pairs``: see `make_bilinear`."""
     bilinear = make_bilinear(dtype)
+    project = make_project(dtype)
 
     @wp.kernel(module=module_of("code", dtype))
     def sample_lattice(
@@ -57,15 +58,6 @@ def make_sample_lattice(dtype: type) -> wp.Kernel:
             return
         modules = sides[m, 1]
         run = samples_out.shape[2] // samples_a_module
-        # all of the pose that a row needs, looked up once: what is written below might be the pose, for all
-        # that a compiler knows
-        v = lattice_v[m, row]
-        x_u = pose[b, 0]
-        y_u = pose[b, 3]
-        depth_u = pose[b, 6]
-        x_row = pose[b, 1] * v + pose[b, 2]
-        y_row = pose[b, 4] * v + pose[b, 5]
-        depth_row = pose[b, 7] * v + pose[b, 8]
         before = reach_of(profile.shape[0], samples_a_module)
         for phase in range(samples_a_module):
             first = phase * run
@@ -73,9 +65,7 @@ def make_sample_lattice(dtype: type) -> wp.Kernel:
                 samples_out[b, row, first + j] = dtype(0.0)
             for j in range(modules):
                 u = lattice_u[m, j * samples_a_module + phase]
-                inverse_depth = dtype(1.0) / (depth_u * u + depth_row)
-                x = (x_u * u + x_row) * inverse_depth
-                y = (y_u * u + y_row) * inverse_depth
+                x, y = project(pose, b, u, lattice_v[m, row])
                 samples_out[b, row, first + before + j] = bilinear(pairs, b, x, y)
             for j in range(before + modules, run):
                 samples_out[b, row, first + j] = dtype(0.0)

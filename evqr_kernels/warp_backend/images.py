@@ -95,11 +95,14 @@ def clip_outliers(image, factor: float, rows_out, limit_out, image_out, busy_out
 
 
 @cache
-def make_reduce_image(dtype: type) -> wp.Kernel:
-    """Build the reduction; launch: one thread per coarse row, which it first adds up over fine rows."""
+def make_reduce_image(dtype: type, rows: int) -> wp.Kernel:
+    """Build the reduction; launch: one thread per ``rows`` coarse rows, first summed over fine ones.
+
+    What a coarse pixel covers of its fine columns is the same in all rows.
+    """
     vec_block = vector(SPAN, dtype)
 
-    @wp.kernel(module=module_of("images", dtype))
+    @wp.kernel(module=module_of(f"reduce_{rows}", dtype))
     def reduce_image(
         image: wp.array3d(dtype=dtype),
         image_blocks: wp.array3d(dtype=vec_block),
@@ -108,49 +111,57 @@ def make_reduce_image(dtype: type) -> wp.Kernel:
         row_blocks_out: wp.array3d(dtype=vec_block),
         image_out: wp.array3d(dtype=dtype),
     ):
-        b, y = wp.tid()
+        b, part = wp.tid()
         one = dtype(1.0)
         fine_width = image.shape[2]
-        top = dtype(y) * ratio
-        bottom = top + ratio
-        first = int(top)
-        last = wp.min(int(wp.ceil(bottom)), image.shape[1])
+        begin = rows * part
+        end = wp.min(begin + rows, image_out.shape[1])
         whole = fine_width - fine_width % SPAN
-        for x in range(0, whole, SPAN):
-            block = vec_block()
-            for j in range(first, last):
-                block += (wp.min(bottom, dtype(j) + one) - wp.max(top, dtype(j))) * image_blocks[b, j, x]
-            row_blocks_out[b, y, x] = block
-        for x in range(whole, fine_width):
-            total = dtype(0.0)
-            for j in range(first, last):
-                total += (wp.min(bottom, dtype(j) + one) - wp.max(top, dtype(j))) * image[b, j, x]
-            rows_out[b, y, x] = total
+        for y in range(begin, end):
+            top = dtype(y) * ratio
+            bottom = top + ratio
+            first = int(top)
+            last = wp.min(int(wp.ceil(bottom)), image.shape[1])
+            for x in range(0, whole, SPAN):
+                block = vec_block()
+                for j in range(first, last):
+                    share = wp.min(bottom, dtype(j) + one) - wp.max(top, dtype(j))
+                    block += share * image_blocks[b, j, x]
+                row_blocks_out[b, y, x] = block
+            for x in range(whole, fine_width):
+                total = dtype(0.0)
+                for j in range(first, last):
+                    total += (wp.min(bottom, dtype(j) + one) - wp.max(top, dtype(j))) * image[b, j, x]
+                rows_out[b, y, x] = total
         for x in range(image_out.shape[2]):
             left = dtype(x) * ratio
             right = left + ratio
             start = int(left)
-            end = wp.min(int(wp.ceil(right)), fine_width)
-            total = dtype(0.0)
-            if start < end:
-                # without a loop up to a ratio of 2: how often it would run changes from pixel to pixel
-                total = wp.min(ratio, dtype(start + 1) - left) * rows_out[b, y, start]
-                for k in range(1, 3):
-                    covered = wp.clamp(right - dtype(start + k), dtype(0.0), one)
-                    at = wp.min(start + k, fine_width - 1)
-                    total += wp.where(start + k < end, covered, dtype(0.0)) * rows_out[b, y, at]
-                for i in range(start + 3, end):
+            stop = wp.min(int(wp.ceil(right)), fine_width)
+            at = wp.min(start, fine_width - 1)
+            # without a loop up to a ratio of 2: how often it would run changes from pixel to pixel
+            next_at = wp.min(start + 1, fine_width - 1)
+            after_at = wp.min(start + 2, fine_width - 1)
+            share = wp.where(start < stop, wp.min(ratio, dtype(start + 1) - left), dtype(0.0))
+            next_share = wp.where(start + 1 < stop, wp.min(right - dtype(start + 1), one), dtype(0.0))
+            after_share = wp.where(start + 2 < stop, wp.min(right - dtype(start + 2), one), dtype(0.0))
+            for y in range(begin, end):
+                total = share * rows_out[b, y, at]
+                total += next_share * rows_out[b, y, next_at]
+                total += after_share * rows_out[b, y, after_at]
+                for i in range(start + 3, stop):
                     total += wp.min(right - dtype(i), one) * rows_out[b, y, i]
-            image_out[b, y, x] = total
+                image_out[b, y, x] = total
 
     return reduce_image
 
 
 def reduce_image(image, ratio: float, rows_out, image_out) -> None:
     """Launch; overwrites."""
+    rows = variant("reduce_image", image.device).rows
     launch(
-        make_reduce_image(image.dtype),
-        image_out.shape[:2],
+        make_reduce_image(image.dtype, rows),
+        (image_out.shape[0], -(-image_out.shape[1] // rows)),
         inputs=[image, neighbours(image, SPAN), ratio],
         outputs=[rows_out, neighbours(rows_out, SPAN), image_out],
         device=image.device,

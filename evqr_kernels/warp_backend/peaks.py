@@ -3,7 +3,8 @@
 A peak is a row (response, x, y, size, angle): response with its sign, 0 in rows that hold none; x and y in
 px; the size that its level stands for; and the angle of the template [rad].
 
-``local_maxima`` of one level: interior entries of magnitude above ``least`` that none of their eight
+``local_maxima`` of the levels of a pyramid, one below the other as for `correlate_templates`, within each
+window's part of them: interior entries of magnitude above ``least`` that none of their eight
 neighbours exceeds in the direction of its own sign, so that a strong trough hides no peak beside it; position
 by the parabolas through the neighbours, of each row the strongest.
 
@@ -41,9 +42,11 @@ def make_local_maxima(dtype: type, block: int) -> wp.Kernel:
         response: wp.array3d(dtype=dtype),
         blocks: wp.array3d(dtype=vec_block),
         angle: wp.array3d(dtype=wp.int32),
+        rows: wp.array2d(dtype=wp.int32),
+        extent: wp.array3d(dtype=wp.int32),
+        levels: wp.array2d(dtype=dtype),
+        origin: wp.array2d(dtype=dtype),
         least: dtype,
-        cell: dtype,
-        size: dtype,
         turn: dtype,
         maxima_out: wp.array4d(dtype=dtype),
     ):
@@ -52,10 +55,14 @@ def make_local_maxima(dtype: type, block: int) -> wp.Kernel:
         for k in range(most):
             for c in range(wp.static(PEAK)):
                 maxima_out[b, y, k, c] = dtype(0.0)
-        if y == 0 or y == response.shape[1] - 1:
+        level = rows[y, 0]
+        row = rows[y, 1]
+        if level < 0 or row <= 0 or row >= extent[b, level, 0] - 1:
             return
+        cell = levels[level, 0]
+        size = levels[level, 1]
         count = wp.int32(0)
-        width = response.shape[2]
+        width = extent[b, level, 1]
         x = wp.int32(1)
         while x < width - 1:
             here = wp.abs(response[b, y, x])
@@ -90,12 +97,10 @@ def make_local_maxima(dtype: type, block: int) -> wp.Kernel:
                         below = sign * response[b, y + 1, x]
                         half = dtype(0.5)
                         maxima_out[b, y, count, 0] = response[b, y, x]
-                        maxima_out[b, y, count, 1] = (
-                            dtype(x) + vertex(left, here, right) + half
-                        ) * cell - half
-                        maxima_out[b, y, count, 2] = (
-                            dtype(y) + vertex(above, here, below) + half
-                        ) * cell - half
+                        across = dtype(x) + vertex(left, here, right) + half
+                        down = dtype(row) + vertex(above, here, below) + half
+                        maxima_out[b, y, count, 1] = origin[b, 0] + across * cell
+                        maxima_out[b, y, count, 2] = origin[b, 1] + down * cell
                         maxima_out[b, y, count, 3] = size
                         maxima_out[b, y, count, 4] = dtype(angle[b, y, x]) * turn
                         count += 1
@@ -104,16 +109,22 @@ def make_local_maxima(dtype: type, block: int) -> wp.Kernel:
     return local_maxima
 
 
-def local_maxima(response, angle, least: float, cell: float, size: float, turn: float, maxima_out) -> None:
+def local_maxima(
+    response, angle, rows, extent, levels, origin, least: float, turn: float, maxima_out
+) -> None:
     """Launch; overwrites."""
+    if not response.size:
+        return
     block = variant("local_maxima", response.device).tile
     launch(
         make_local_maxima(response.dtype, block),
         response.shape[:2],
-        inputs=[response, neighbours(response, block), angle, least, cell, size, turn],
+        inputs=[
+            response, neighbours(response, block), angle, rows, extent, levels, origin, least, turn,
+        ],
         outputs=[maxima_out],
         device=response.device,
-    )
+    )  # fmt: skip
 
 
 @cache
@@ -205,24 +216,28 @@ def make_match_corners(dtype: type) -> wp.Kernel:
         most = tolerances[4]
         log_size = wp.log(peaks[b, i, 3])
         count = wp.int32(0)
+        size = peaks[b, i, 3]
+        size_ratio = wp.exp(dtype(2.0) * size_tolerance)
+        least_leg = wp.exp(fewest - dtype(2.0) * size_tolerance)
         for j in range(peaks.shape[1]):
             if j != i and peaks[b, i, 0] * peaks[b, j, 0] > dtype(0.0):
+                other = peaks[b, j, 3]
+                smaller = wp.min(size, other)
                 dx = peaks[b, j, 1] - peaks[b, i, 1]
                 dy = peaks[b, j, 2] - peaks[b, i, 2]
-                direction = wp.atan2(dy, dx)
-                log_leg = dtype(0.5) * wp.log(wp.max(dx * dx + dy * dy, dtype(1.0e-18)))
-                other = wp.log(peaks[b, j, 3])
-                if (
-                    off(direction - peaks[b, i, 4], quarter) < angle_tolerance
-                    and off(direction - peaks[b, j, 4], quarter) < angle_tolerance
-                    and wp.abs(log_size - other) < dtype(2.0) * size_tolerance
-                    and log_leg > wp.min(log_size, other) + fewest - dtype(2.0) * size_tolerance
-                ):
-                    ends_out[b, i, count] = j
-                    legs_out[b, i, count, 0] = direction
-                    legs_out[b, i, count, 1] = log_leg
-                    legs_out[b, i, count, 2] = other
-                    count += 1
+                square = dx * dx + dy * dy
+                leg = least_leg * smaller
+                if wp.max(size, other) < size_ratio * smaller and square > leg * leg:
+                    direction = wp.atan2(dy, dx)
+                    if (
+                        off(direction - peaks[b, i, 4], quarter) < angle_tolerance
+                        and off(direction - peaks[b, j, 4], quarter) < angle_tolerance
+                    ):
+                        ends_out[b, i, count] = j
+                        legs_out[b, i, count, 0] = direction
+                        legs_out[b, i, count, 1] = dtype(0.5) * wp.log(square)
+                        legs_out[b, i, count, 2] = wp.log(other)
+                        count += 1
         for j in range(count):
             for k in range(count):
                 across = legs_out[b, i, k, 0] - legs_out[b, i, j, 0] - quarter

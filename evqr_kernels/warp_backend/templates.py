@@ -15,7 +15,9 @@ and Adelson, PAMI 1991), so the bank comes as a basis of five and as the mixture
     T_a(j, i) = sum_k mix(a, k) basis(j, i, k)
 
 The basis is orthonormal and the rows of the mixture are no longer than 1, so the length of the sums bounds
-every response.  Responses of magnitude below ``least`` are 0.
+every response.  Responses of magnitude below ``least`` are 0, and so are those of places where the first term
+alone, normalised likewise, is below ``first``: of templates that all have much of it the other terms need not
+be summed there.
 
 The disc is given by the ends of its columns, ``spans`` (N, 2): energies are then differences of running sums,
 and the corners of the templates' squares, a quarter of them, cost nothing.
@@ -63,58 +65,108 @@ def make_running_squares(dtype: type, block: int) -> wp.Kernel:
 
 @cache
 def make_quiet_floor(dtype: type) -> wp.Kernel:
-    """Build the floor from the columns' sums; launch: one thread per image."""
+    """Build the floor from the columns' sums; launch: one thread per level of an image."""
 
     @wp.kernel(module=module_of("templates", dtype))
     def quiet_floor(
         squares: wp.array3d(dtype=dtype),
         busy: wp.array(dtype=dtype),
         spans: wp.array2d(dtype=wp.int32),
-        quiet: dtype,
-        floor_out: wp.array(dtype=dtype),
+        rows: wp.array2d(dtype=wp.int32),
+        extent: wp.array3d(dtype=wp.int32),
+        quiet: wp.array(dtype=dtype),
+        floor_out: wp.array2d(dtype=dtype),
     ):
-        b = wp.tid()
+        b, k = wp.tid()
+        top = wp.int32(0)
+        for y in range(rows.shape[0]):
+            if rows[y, 0] == k and rows[y, 1] == 0:
+                top = y
+        size = spans.shape[0]
         total = dtype(0.0)
-        for x in range(squares.shape[2]):
-            total += squares[b, squares.shape[1] - 1, x]
+        if extent[b, k, 0] > 0:
+            bottom = wp.min(top + extent[b, k, 0] + size, squares.shape[1]) - 1
+            for x in range(wp.min(extent[b, k, 1] + size - 1, squares.shape[2])):
+                total += squares[b, bottom, x] - squares[b, top, x]
         places = wp.int32(0)
-        for i in range(spans.shape[0]):
+        for i in range(size):
             places += spans[i, 1] - spans[i, 0]
-        floor_out[b] = quiet * dtype(places) * total / wp.max(busy[b], dtype(1.0))
+        floor_out[b, k] = quiet[k] * dtype(places) * total / wp.max(busy[b], dtype(1.0))
 
     return quiet_floor
 
 
 @cache
-def make_correlate_basis(dtype: type, block: int) -> wp.Kernel:
-    """Build the correlation with the basis; launch: one thread per ``block`` neighbouring pixels of a row.
+def make_correlate_first(dtype: type, block: int) -> wp.Kernel:
+    """Build the energies and the first term's sums; launch: one thread per ``block`` neighbours of a row.
 
     ``pixels[b, y, x]`` is the vector of ``block`` pixels from x on, ``squares`` that of running sums.  The
     last block of a row ends with the row and may overlap the one before: those pixels are computed twice,
-    with the same result.  Behind the sums come the energies.
+    with the same result.
     """
     vec_pixels = vector(block, dtype)
     vec_terms = vector(TERMS, dtype)
 
-    @wp.kernel(module=module_of(f"templates_{block}", dtype))
-    def correlate_basis(
+    @wp.kernel(module=module_of(f"templates_first_{block}", dtype))
+    def correlate_first(
         pixels: wp.array3d(dtype=vec_pixels),
-        basis: wp.array2d(dtype=vec_terms),
+        basis: wp.array3d(dtype=vec_terms),
         spans: wp.array2d(dtype=wp.int32),
+        rows: wp.array2d(dtype=wp.int32),
+        extent: wp.array3d(dtype=wp.int32),
         squares: wp.array3d(dtype=vec_pixels),
-        floor: wp.array(dtype=dtype),
+        floor: wp.array2d(dtype=dtype),
         sums_out: wp.array4d(dtype=vec_pixels),
     ):
         b, y, k = wp.tid()
+        level = rows[y, 0]
+        if level < 0 or rows[y, 1] >= extent[b, level, 0] or block * k >= extent[b, level, 1]:
+            return
         x = wp.min(block * k, sums_out.shape[3] - 1)
         size = spans.shape[0]
         energy = vec_pixels()
         for i in range(size):
             energy += squares[b, y + spans[i, 1], x + i] - squares[b, y + spans[i, 0], x + i]
         sums_out[b, TERMS, y, x] = energy
-        if not wp.max(energy) > floor[b]:
+        total = vec_pixels()
+        if wp.max(energy) > floor[b, level]:
+            for i in range(size):
+                for j in range(spans[i, 0], spans[i, 1]):
+                    total += basis[b, j, i][0] * pixels[b, y + j, x + i]
+        sums_out[b, 0, y, x] = total
+
+    return correlate_first
+
+
+@cache
+def make_correlate_others(dtype: type, block: int) -> wp.Kernel:
+    """Build the other terms' sums, where the first is strong; launch: one thread per ``block`` neighbours."""
+    vec_pixels = vector(block, dtype)
+    vec_terms = vector(TERMS, dtype)
+
+    @wp.kernel(module=module_of(f"templates_{block}", dtype))
+    def correlate_others(
+        pixels: wp.array3d(dtype=vec_pixels),
+        basis: wp.array3d(dtype=vec_terms),
+        spans: wp.array2d(dtype=wp.int32),
+        rows: wp.array2d(dtype=wp.int32),
+        extent: wp.array3d(dtype=wp.int32),
+        floor: wp.array2d(dtype=dtype),
+        first: dtype,
+        sums_out: wp.array4d(dtype=vec_pixels),
+    ):
+        b, y, k = wp.tid()
+        level = rows[y, 0]
+        if level < 0 or rows[y, 1] >= extent[b, level, 0] or block * k >= extent[b, level, 1]:
             return
-        s0 = vec_pixels()
+        x = wp.min(block * k, sums_out.shape[3] - 1)
+        s0 = sums_out[b, 0, y, x]
+        energy = sums_out[b, TERMS, y, x]
+        quiet = floor[b, level]
+        strong = wp.cw_mul(s0, s0) - first * first * energy
+        if not wp.max(strong) >= first * first * quiet or not wp.max(energy) > quiet:
+            return
+        size = spans.shape[0]
         s1 = vec_pixels()
         s2 = vec_pixels()
         s3 = vec_pixels()
@@ -122,76 +174,102 @@ def make_correlate_basis(dtype: type, block: int) -> wp.Kernel:
         for i in range(size):
             for j in range(spans[i, 0], spans[i, 1]):
                 v = pixels[b, y + j, x + i]
-                term = basis[j, i]
-                s0 += term[0] * v
+                term = basis[b, j, i]
                 s1 += term[1] * v
                 s2 += term[2] * v
                 s3 += term[3] * v
                 s4 += term[4] * v
-        sums_out[b, 0, y, x] = s0
         sums_out[b, 1, y, x] = s1
         sums_out[b, 2, y, x] = s2
         sums_out[b, 3, y, x] = s3
         sums_out[b, 4, y, x] = s4
 
-    return correlate_basis
+    return correlate_others
 
 
 @cache
-def make_best_template(dtype: type) -> wp.Kernel:
-    """Build the choice of the best template; launch: one thread per row.
+def make_best_template(dtype: type, block: int) -> wp.Kernel:
+    """Build the choice of the best template; launch: one thread per ``block`` neighbours of a row.
 
     A kernel of its own: behind the correlation it would take the registers that its sums need.
     """
+    vec_pixels = vector(block, dtype)
+    vec_indices = vector(block, wp.int32)
+    vec_pair = vector(2, dtype)
     vec_terms = vector(TERMS, dtype)
 
-    @wp.kernel(module=module_of("templates", dtype))
+    @wp.kernel(module=module_of(f"templates_best_{block}", dtype))
     def best_template(
         sums: wp.array4d(dtype=dtype),
-        mix: wp.array(dtype=vec_terms),
-        floor: wp.array(dtype=dtype),
-        least: dtype,
+        blocks: wp.array4d(dtype=vec_pixels),
+        mix: wp.array2d(dtype=vec_terms),
+        rows: wp.array2d(dtype=wp.int32),
+        extent: wp.array3d(dtype=wp.int32),
+        floor: wp.array2d(dtype=dtype),
+        limits: vec_pair,
         response_out: wp.array3d(dtype=dtype),
+        response_blocks_out: wp.array3d(dtype=vec_pixels),
         angle_out: wp.array3d(dtype=wp.int32),
+        angle_blocks_out: wp.array3d(dtype=vec_indices),
     ):
-        b, y = wp.tid()
-        for x in range(response_out.shape[2]):
-            best = dtype(0.0)
-            angle = wp.int32(0)
+        b, y, k = wp.tid()
+        level = rows[y, 0]
+        if level < 0 or rows[y, 1] >= extent[b, level, 0] or block * k >= extent[b, level, 1]:
+            return
+        begin = wp.min(block * k, response_blocks_out.shape[2] - 1)
+        quiet = floor[b, level]
+        first = limits[0] * limits[0]
+        least = limits[1] * limits[1]
+        energies = blocks[b, TERMS, y, begin]
+        s0 = blocks[b, 0, y, begin]
+        end = wp.min(begin + block, extent[b, level, 1])
+        if end == begin + block:
+            response_blocks_out[b, y, begin] = vec_pixels()
+            angle_blocks_out[b, y, begin] = vec_indices()
+        else:
+            for x in range(begin, end):
+                response_out[b, y, x] = dtype(0.0)
+                angle_out[b, y, x] = 0
+        if not wp.max(wp.cw_mul(s0, s0) - first * energies) >= first * quiet or not wp.max(energies) > quiet:
+            return
+        for x in range(begin, end):
             energy = sums[b, TERMS, y, x]
-            if energy > floor[b]:
+            value0 = sums[b, 0, y, x]
+            if energy > quiet and value0 * value0 >= first * (energy + quiet):
                 here = vec_terms(
-                    sums[b, 0, y, x], sums[b, 1, y, x], sums[b, 2, y, x], sums[b, 3, y, x], sums[b, 4, y, x]
+                    value0, sums[b, 1, y, x], sums[b, 2, y, x], sums[b, 3, y, x], sums[b, 4, y, x]
                 )
-                weakest = least * least * (energy + floor[b])
+                weakest = least * (energy + quiet)
                 if wp.dot(here, here) >= weakest:  # no template answers more than this
-                    for a in range(mix.shape[0]):
-                        value = wp.dot(mix[a], here)
+                    best = dtype(0.0)
+                    angle = wp.int32(0)
+                    for a in range(mix.shape[1]):
+                        value = wp.dot(mix[b, a], here)
                         if wp.abs(value) > wp.abs(best):
                             best = value
                             angle = a
                     if best * best >= weakest:
-                        best /= wp.sqrt(energy + floor[b])
-                    else:
-                        best = dtype(0.0)
-                        angle = 0
-            response_out[b, y, x] = best
-            angle_out[b, y, x] = angle
+                        response_out[b, y, x] = best / wp.sqrt(energy + quiet)
+                        angle_out[b, y, x] = angle
 
     return best_template
 
 
 def correlate_templates(
-    image, busy, basis, mix, spans, quiet: float, least: float, squares_out, floor_out, sums_out,
-    response_out, angle_out,
+    image, busy, basis, mix, spans, rows, extent, quiet, first: float, least: float, squares_out, floor_out,
+    sums_out, response_out, angle_out,
 ) -> None:  # fmt: skip
-    """Launch the running sums, the floor, the correlation and the choice; overwrites."""
+    """Launch the running sums, the floor, the correlations and the choice; overwrites within the extent."""
     dtype, device = image.dtype, image.device
     batch, height, width = response_out.shape
-    if not response_out.size:
+    if not response_out.size or not floor_out.size:
         return
-    block = variant("correlate_templates", device, width).tile
+    chosen = variant("correlate_templates", device, width)
+    block, wide = chosen.tile, chosen.tile * chosen.rows
+    if width < wide:
+        wide = block
     pixels, squares = neighbours(image, block), neighbours(squares_out, block)
+    terms = last_axis_as_vector(basis)
     launch(
         make_running_squares(dtype, block),
         (batch, -(-image.shape[2] // block)),
@@ -201,22 +279,34 @@ def correlate_templates(
     )
     launch(
         make_quiet_floor(dtype),
-        batch,
-        inputs=[squares_out, busy, spans, quiet],
+        floor_out.shape,
+        inputs=[squares_out, busy, spans, rows, extent, quiet],
         outputs=[floor_out],
         device=device,
     )
     launch(
-        make_correlate_basis(dtype, block),
+        make_correlate_first(dtype, wide),
+        (batch, height, -(-width // wide)),
+        inputs=[
+            neighbours(image, wide), terms, spans, rows, extent, neighbours(squares_out, wide), floor_out,
+        ],
+        outputs=[neighbours(sums_out, wide)],
+        device=device,
+    )  # fmt: skip
+    launch(
+        make_correlate_others(dtype, block),
         (batch, height, -(-width // block)),
-        inputs=[pixels, last_axis_as_vector(basis), spans, squares, floor_out],
+        inputs=[pixels, terms, spans, rows, extent, floor_out, first],
         outputs=[neighbours(sums_out, block)],
         device=device,
     )
     launch(
-        make_best_template(dtype),
-        (batch, height),
-        inputs=[sums_out, last_axis_as_vector(mix), floor_out, least],
-        outputs=[response_out, angle_out],
+        make_best_template(dtype, block),
+        (batch, height, -(-width // block)),
+        inputs=[
+            sums_out, neighbours(sums_out, block), last_axis_as_vector(mix), rows, extent, floor_out,
+            vector(2, dtype)(first, least),
+        ],
+        outputs=[response_out, neighbours(response_out, block), angle_out, neighbours(angle_out, block)],
         device=device,
-    )
+    )  # fmt: skip

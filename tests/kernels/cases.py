@@ -213,26 +213,43 @@ def mix_images(rng, dtype, width=X):
     return call("mix_images", [images.astype(dtype), np.array([0, 1, 0], np.int32), weight.astype(dtype)])
 
 
+def levels(height, width):
+    """Rows of two levels, the second of seven rows, and what of them is each window's own."""
+    rows = np.full((height, 2), -1, np.int32)
+    first = height - 9
+    rows[:first] = np.stack([np.zeros(first), np.arange(first)], axis=1)
+    rows[-7:] = np.stack([np.ones(7), np.arange(7)], axis=1)
+    extent = np.array([[[first, width], [7, max(0, width - 2)]], [[first, width], [0, 0]]], np.int32)
+    return rows, np.concatenate([extent, [[[first - 2, width // 2], [5, width // 3]]]]).astype(np.int32)
+
+
 def correlate_templates(rng, dtype, width=24, n=5):
     image = rng.normal(size=(B, Y + n - 1, width + n - 1)) * (rng.random((B, 1, width + n - 1)) < 0.8)
     image[1, :, : width // 2] = 0
     g = np.arange(n) - n // 2
     disc = (g[:, None] ** 2 + g**2) <= (n // 2) ** 2
     spans = np.array([(c.argmax(), n - c[::-1].argmax()) for c in disc.T], np.int32)
-    basis, _ = np.linalg.qr((rng.normal(size=(n, n, 5)) * disc[..., None]).reshape(-1, 5))
-    basis = basis.reshape(n, n, 5) + rng.normal(size=(n, n, 5)) * ~disc[..., None]  # which do not count
-    mix = rng.normal(size=(8, 5))
-    mix /= np.linalg.norm(mix, axis=1, keepdims=True)
-    busy = np.array([500.0, 300.0, 0.0], dtype)
+    basis, mix = np.empty((B, n, n, 5)), rng.normal(size=(B, 8, 5))
+    for b in range(B):
+        ortho, _ = np.linalg.qr((rng.normal(size=(n, n, 5)) * disc[..., None]).reshape(-1, 5))
+        # what lies outside the disc does not count
+        basis[b] = ortho.reshape(n, n, 5) + rng.normal(size=(n, n, 5)) * ~disc[..., None]
+    mix /= np.linalg.norm(mix, axis=2, keepdims=True)
+    busy, quiet = np.array([500.0, 300.0, 0.0], dtype), np.array([0.7, 0.9], dtype)
     inputs = [image.astype(dtype), busy, basis.astype(dtype), mix.astype(dtype), spans]
-    return call("correlate_templates", [*inputs, 0.7, 0.2])
+    made = call("correlate_templates", [*inputs, *levels(Y, width), quiet, 0.1, 0.2])
+    made.outputs[-2][:] = 7.0  # what is left as it is beyond the extent
+    return made
 
 
 def local_maxima(rng, dtype, most=3):
     response = rng.uniform(-1, 1, (B, Y, X)).astype(dtype)
     response[0, 5:8, 5:8] = 0.99  # a plateau: all of it counts
     angle = rng.integers(0, 8, (B, Y, X)).astype(np.int32)
-    return call("local_maxima", [response, angle, 0.3, 2.5, 3.125, 0.2], most=most)
+    sizes = np.array([[2.5, 3.125], [3.0, 4.0]], dtype)
+    origin = rng.uniform(-9, 9, (B, 2)).astype(dtype)
+    inputs = [response, angle, *levels(Y, X), sizes, origin, 0.3, 0.2]
+    return call("local_maxima", inputs, most=most)
 
 
 def merge_maxima(rng, dtype, count=60, keep=9):
@@ -288,6 +305,16 @@ def sample_moments(rng, dtype):
 def sample_moments_adjoint(rng, dtype):
     inputs = [*moment_inputs(rng, dtype), rng.normal(size=(4, 6)).astype(dtype)]
     return call("sample_moments_adjoint", inputs)
+
+
+def score_poses(rng, dtype):
+    """Models of both parts, of one alone, and of no points; poses that look past the image too."""
+    image = rng.normal(size=(B, Y, X)).astype(dtype)
+    model = np.hstack([rng.uniform(-3, 20, (90, 2)), rng.normal(size=(90, 2))]).astype(dtype)
+    ptr = np.array([[0, 30, 60], [60, 60, 90], [5, 50, 50], [70, 70, 70]], np.int32)
+    idx = np.array([0, 1, 2, 3, 0], np.int32)
+    image_idx = np.array([2, 1, 0, 2, 1], np.int32)
+    return call("score_poses", [image, image_idx, poses(rng, 5, dtype), idx, ptr, model, 1e-3])
 
 
 def code_rhs(rng, dtype, shape=WIDE, samples=3, smaller=()):
@@ -473,6 +500,7 @@ CALLS = [
     match_corners,
     sample_moments,
     sample_moments_adjoint,
+    score_poses,
     pose_normal_equations,
     code_rhs,
     code_rhs_tall,

@@ -102,8 +102,10 @@ def test_a_template_answers_to_itself_with_its_sign_and_angle(dtype, rng):
         image = np.zeros((1, 20 + n - 1, 20 + n - 1))
         image[0, 9 : 9 + n, 5 : 5 + n] = sign * bank[..., angle]
         busy = np.array([n * n])
-        inputs = [a.astype(dtype) for a in (image, busy, basis.reshape(n, n, 5), mix)]
-        response, best = evqr_kernels.correlate_templates(*inputs, spans, quiet=0.1)
+        inputs = [a.astype(dtype) for a in (image, busy, basis.reshape(1, n, n, 5), mix[None])]
+        rows = np.stack([np.zeros(20, np.int32), np.arange(20, dtype=np.int32)], axis=1)
+        extent, quiet = np.full((1, 1, 2), 20, np.int32), np.array([0.1], dtype)
+        response, best = evqr_kernels.correlate_templates(*inputs, spans, rows, extent, quiet)
         place = np.unravel_index(np.abs(response).argmax(), response.shape)
         assert place == (0, 9, 5)
         assert best[place] == angle
@@ -113,18 +115,21 @@ def test_a_template_answers_to_itself_with_its_sign_and_angle(dtype, rng):
 
 def test_quiet_places_do_not_answer(placed, dtype, rng):
     call = cases.correlate_templates(rng, dtype)
-    call.inputs[5] = 1e6
+    call.inputs[7] = np.full(2, 1e6, dtype)
     response, angle = call.run(placed)
-    np.testing.assert_array_equal(response, 0)
-    np.testing.assert_array_equal(angle, 0)
+    np.testing.assert_array_equal(np.unique(response), [0.0, 7.0])  # 7 beyond what is a window's own
+    np.testing.assert_array_equal(angle[response == 0.0], 0)
+    np.testing.assert_array_equal(response[:2, : cases.Y - 9], 0)
 
 
 def test_a_trough_hides_no_peak_beside_it():
     """A filter that alternates from cell to cell answers with both signs, one beside the other."""
     response = np.zeros((1, 5, 9))
     response[0, 2, 3:6] = -0.6, 0.5, 0.45
+    rows = np.stack([np.zeros(5, np.int32), np.arange(5, dtype=np.int32)], axis=1)
+    extent, origin = np.array([[[5, 9]]], np.int32), np.full((1, 2), -0.5)
     maxima = evqr_kernels.local_maxima(
-        response, np.zeros((1, 5, 9), np.int32), least=0.3, cell=1.0, size=1.0, turn=0.0
+        response, np.zeros((1, 5, 9), np.int32), rows, extent, np.ones((1, 2)), origin, least=0.3, turn=0.0
     )
     trough, peak = maxima[0, 2, :2]
     assert trough[0] == -0.6
@@ -135,9 +140,10 @@ def test_a_trough_hides_no_peak_beside_it():
 
 def test_weak_responses_are_left_out(placed, dtype, rng):
     call = cases.correlate_templates(rng, dtype)
-    call.inputs[5:] = [0.3, 0.0]
+    call.inputs[7:] = [np.full(2, 0.3, dtype), 0.0, 0.0]
+    call.outputs[-2][:] = call.outputs[-1][:] = 0
     every, angles = call.run(placed)
-    call.inputs[6] = 0.4
+    call.inputs[9] = 0.4
     strong, kept = call.run(placed)
     assert 0.05 < np.mean(strong != 0) < 0.8 * np.mean(every != 0)
     np.testing.assert_array_equal(strong, np.where(np.abs(every) >= 0.4, every, 0))

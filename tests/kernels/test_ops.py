@@ -16,6 +16,12 @@ def f32(*shape):
     return np.zeros(shape, np.float32)
 
 
+def level(height, width):
+    """Rows of one level, and all of it each window's own."""
+    rows = np.stack([np.zeros(height, np.int32), np.arange(height, dtype=np.int32)], axis=1)
+    return rows, np.tile(np.array([height, width], np.int32), (B, 1, 1))
+
+
 PTR = np.array([0, 4, E], np.int32)
 RANGES = np.array([[0, 4], [2, E]], np.int32)
 SPANS = np.array([[0, 5]] * 5, np.int32)
@@ -44,16 +50,30 @@ GOOD = {
     "clip_outliers": ([f32(B, Y, X)], {"factor": 2.0}),
     "reduce_image": ([f32(B, Y, X)], {"ratio": 1.5}),
     "mix_images": ([f32(4, Y, X), f32(3, 4)], {}),
-    "correlate_templates": ([f32(B, Y, X), f32(B), f32(5, 5, 5), f32(8, 5), SPANS], {"quiet": 0.5}),
+    "correlate_templates": (
+        [f32(B, Y, X), f32(B), f32(B, 5, 5, 5), f32(B, 8, 5), SPANS, *level(Y - 4, X - 4), f32(1) + 0.5],
+        {},
+    ),
     "local_maxima": (
-        [f32(B, Y, X), np.zeros((B, Y, X), np.int32)],
-        {"least": 0.1, "cell": 2.0, "size": 4.0, "turn": 0.2},
+        [f32(B, Y, X), np.zeros((B, Y, X), np.int32), *level(Y, X), f32(1, 2) + 2, f32(B, 2)],
+        {"least": 0.1, "turn": 0.2},
     ),
     "merge_maxima": ([f32(B, 9, 5)], {"apart": 2.0, "log_ratio": 0.3, "most": 4}),
     "match_corners": ([f32(B, 6, 5), f32(5)], {}),
     "sample_moments": ([f32(B, Y, X), np.zeros(3, np.int32), f32(3, 9), f32(20, 2), f32(20, 4)], {}),
     "sample_moments_adjoint": (
         [f32(B, Y, X), np.zeros(3, np.int32), f32(3, 9), f32(20, 2), f32(20, 4), f32(3, 5)],
+        {},
+    ),
+    "score_poses": (
+        [
+            f32(B, Y, X),
+            np.zeros(3, np.int32),
+            f32(3, 9) + 1,
+            np.zeros(3, np.int32),
+            np.array([[0, 6, 20]], np.int32),
+            f32(20, 4),
+        ],
         {},
     ),
     "align_poses": (
@@ -171,7 +191,8 @@ def test_inputs_that_are_read_only_are_read(name):
 
 @pytest.mark.parametrize("op", ["mix_images", "correlate_templates"])
 def test_what_is_cut_out_of_a_wider_result_can_be_given_on(op):
-    given = {"arg0": f32(4, Y, 7)} if op == "mix_images" else {"arg0": f32(B, Y, 7)}
+    narrow = dict(zip(("arg5", "arg6"), level(Y - 4, 3), strict=True))
+    given = {"arg0": f32(4, Y, 7)} if op == "mix_images" else {"arg0": f32(B, Y, 7), **narrow}
     assert all(result.flags.c_contiguous for result in as_tuple(call(op, **given)))
 
 
@@ -195,8 +216,10 @@ def test_inputs_are_left_alone():
 @pytest.mark.parametrize("name", BACKENDS)
 @pytest.mark.parametrize("shape", [(5, 5), (6, 7), (9, 4), (2, 2), (2, 9)])
 def test_templates_on_small_images(shape, name):
-    response, angle = call("correlate_templates", arg0=np.ones((B, *shape), np.float32), backend=name)
     expected = tuple(max(0, side - 4) for side in shape)
+    rows, extent = level(*expected)
+    given = {"arg0": np.ones((B, *shape), np.float32), "arg5": rows, "arg6": extent}
+    response, angle = call("correlate_templates", **given, backend=name)
     assert response.shape == angle.shape == (B, *expected)
 
 
@@ -315,13 +338,18 @@ BAD = [
     ("surface_peak", {"half": 3.5}, ValueError, "half must be at most 3 for 5 entries, got 3.5"),
     ("mix_images", {"arg1": f32(3, 5)}, ValueError, "(N, K) with N = 3, K = 4, got (3, 5)"),
     ("clip_outliers", {"factor": -0.5}, ValueError, "factor must be at least 0.0, got -0.5"),
-    ("local_maxima", {"arg0": f32(B, 2, X), "arg1": np.zeros((B, 2, X), np.int32)}, ValueError, "at least 3"),
+    ("local_maxima", {"arg2": level(Y - 1, X)[0]}, ValueError, "rows must have shape (Y, 2)"),
+    ("local_maxima", {"arg2": level(Y, X)[0] + 1}, ValueError, "rows must be of levels up to 0, got 1"),
+    ("local_maxima", {"arg2": level(Y, X)[0][::-1].copy()}, ValueError, "rows of level 0 must be 0, 1, ..."),
+    ("local_maxima", {"arg3": level(Y, X + 1)[1]}, ValueError, f"extent must be 0 to {X} columns"),
+    ("local_maxima", {"arg3": level(Y + 1, X)[1]}, ValueError, f"extent must be at most {Y} rows of level 0"),
     ("local_maxima", {"most": 0}, ValueError, "most must be at least 1, got 0"),
     ("merge_maxima", {"arg0": f32(B, 9, 4)}, ValueError, "maxima must have shape (B, N, 5)"),
     ("match_corners", {"arg1": f32(4)}, ValueError, "tolerances must have shape (5,), got (4,)"),
     ("reduce_image", {"ratio": 0.5}, ValueError, "ratio must be at least 1.0, got 0.5"),
     ("reduce_image", {"ratio": float("nan")}, ValueError, "ratio must be at least 1.0, got nan"),
-    ("correlate_templates", {"arg2": f32(5, 5, 7)}, ValueError, "basis must have shape (N, N, 5) with N = 5"),
+    ("correlate_templates", {"arg2": f32(B, 5, 5, 7)}, ValueError, "basis must have shape (B, N, N, 5)"),
+    ("correlate_templates", {"arg6": level(Y, X)[1]}, ValueError, "extent must be at most"),
     ("correlate_templates", {"arg4": SPANS[:4]}, ValueError, "spans must have shape (N, 2) with N = 5"),
     (
         "correlate_templates",
@@ -329,7 +357,7 @@ BAD = [
         ValueError,
         "spans must be 0 to 5 and not decrease, got 1 to 6",
     ),
-    ("correlate_templates", {"quiet": -1.0}, ValueError, "quiet must be at least 0.0, got -1.0"),
+    ("correlate_templates", {"least": -1.0}, ValueError, "least must be at least 0.0, got -1.0"),
     (
         "sample_moments",
         {"arg1": np.array([0, 1, 2], np.int32)},
@@ -344,6 +372,13 @@ BAD = [
         {"arg5": f32(3, 4)},
         ValueError,
         "adj_moments must have shape (N, 5) with N = 3",
+    ),
+    ("score_poses", {"arg3": np.ones(3, np.int32)}, ValueError, "model_idx must be 0 to 0, got 1 to 1"),
+    (
+        "score_poses",
+        {"arg4": np.array([[0, 6, 21]], np.int32)},
+        ValueError,
+        "rows of model_ptr must be 0 to 20 and not decrease",
     ),
     ("align_poses", {"arg5": np.zeros((9, 4), np.int32)}, ValueError, "factors must have shape (P + 2, 4)"),
     ("align_poses", {"arg5": np.full((8, 4), 4, np.int32)}, ValueError, "terms must be 0 to 3, got 4 to 4"),

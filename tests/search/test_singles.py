@@ -1,53 +1,68 @@
-"""Single finder patterns and the codes that they could belong to, without an image."""
+"""Single finder patterns and the codes that they could belong to."""
 
 import numpy as np
 import pytest
+from scenes import at, corners, middle_us, motion_at, scene, window_of
 
-from evqr.search.singles import Singles
-from evqr.symbol import micro_qr
-from evqr.symbol.symbols import SYMBOLS
+from evqr.config import AlignConfig, FinderConfig
+from evqr.events.batch import EventBatch
+from evqr.search.finder import find_patterns
+from evqr.search.models import sizes
+from evqr.search.score import score
+from evqr.search.singles import QUARTERS, SHIFTS, codes_of_singles
+from evqr.simulate import CodePlacement
 
-PEAK = (0.8, 100.0, 80.0, 4.0, np.deg2rad(20.0))
-
-
-def hypotheses_of(workspace, *peaks, most=4):
-    table = workspace.mirror((1, len(peaks) + 2, 5))  # with room left
-    for k, peak in enumerate(peaks):
-        table.host[0, k] = peak
-    table.push()
-    return Singles(table, most).read()
+ALIGN, FINDER = AlignConfig(), FinderConfig()
+TEXTS = {"M1": "40961", "M2": "DEV-55", "M3": "EVQR-07", "M4": "HELLO-EVQR-7"}
 
 
-@pytest.mark.parametrize("version", micro_qr.SIZES)
-@pytest.mark.parametrize("turn_deg", [20.0, 110.0, 200.0, 290.0])
-def test_a_peak_makes_every_size_in_four_directions(version, turn_deg, workspace):
-    turn = np.deg2rad(turn_deg)
-    axes = 4.0 * np.array([[np.cos(turn), -np.sin(turn)], [np.sin(turn), np.cos(turn)]])
-    found = [h for h in hypotheses_of(workspace, PEAK) if h.space == micro_qr.space(version)]
-    assert len(found) == 4
-    (right,) = [h for h in found if np.allclose(h.pose[:2, :2], axes, atol=1e-5)]
-    np.testing.assert_allclose(right.pose @ (3.5, 3.5, 1.0), (100.0, 80.0, 1.0), atol=1e-5)
-    assert (right.response, right.inverted) == (pytest.approx(0.8), False)
+def searched(version, angle, workspace, **options):
+    """Hypotheses of the best peaks along the true motion, their scores, and the true pose."""
+    placement = CodePlacement(
+        text=TEXTS[version], symbology="microqr", version=version, ec="L", module_px=5.0, angle=angle
+    )
+    made = scene(codes=(placement,), **options)
+    truth = next(iter(made.truth.values()))
+    motion = motion_at(truth, middle_us(made))
+    (found,), pyramid = find_patterns(EventBatch.of([window_of(made)]), [motion], FINDER, workspace=workspace)
+    which = np.arange(min(len(found.peaks), FINDER.single_patterns))
+    window = np.zeros(len(which), np.intp)
+    hypotheses = codes_of_singles(
+        found.peaks.table[which],
+        which,
+        window,
+        np.tile(motion.direction, (len(which), 1)),
+        pyramid,
+        ALIGN,
+        workspace=workspace,
+    )
+    everyone = np.zeros(len(hypotheses), np.intp)
+    scores = score(pyramid, everyone, hypotheses.size, hypotheses.pose, ALIGN, workspace=workspace)
+    return which, hypotheses, scores, at(truth, "H", middle_us(made))
 
 
-def test_only_sizes_with_a_single_finder_pattern_are_made(workspace):
-    spaces = {hypothesis.space for hypothesis in hypotheses_of(workspace, PEAK)}
-    single = [
-        (symbology, version)
-        for symbology, symbol in SYMBOLS.items()
-        for version in symbol.sizes
-        if len(symbol.anchors(version)) == 1
-    ]
-    assert sorted((space.symbology, space.version) for space in spaces) == sorted(single)
+def test_a_peak_makes_every_size_in_four_directions_about_one_place(workspace):
+    which, hypotheses, _, _ = searched("M2", 20.0, workspace)
+    single = [k for k, size in enumerate(sizes()) if len(size.anchors) == 1]
+    assert len(hypotheses) == len(which) * len(single) * QUARTERS * SHIFTS
+    for peak in which:
+        mine = hypotheses[(hypotheses.peaks == peak).all(axis=1)]
+        assert sorted(mine.size) == sorted(single * QUARTERS * SHIFTS)
+        anchors = np.array([(sizes()[k].anchors[0].u, sizes()[k].anchors[0].v, 1.0) for k in mine.size])
+        places = np.einsum("nij,nj->ni", mine.pose, anchors)
+        assert len(np.unique(np.round(places, 4), axis=0)) in (1, SHIFTS)  # where the motion shows its place
+        turns = np.round(np.rad2deg(np.arctan2(mine.pose[:, 1, 0], mine.pose[:, 0, 0])), 3)
+        assert len(set(turns)) == QUARTERS
+        assert (mine.inverted == mine.inverted[0]).all()
 
 
-def test_no_more_peaks_than_asked_for_and_the_best_first(workspace):
-    second, third = (-0.7, 50.0, 40.0, 5.0, 0.1), (0.6, 10.0, 10.0, 6.0, 0.2)
-    found = hypotheses_of(workspace, PEAK, second, third, most=2)
-    assert [h.response for h in found] == pytest.approx([0.8] * 16 + [0.7] * 16)
-    assert [h.inverted for h in found] == [False] * 16 + [True] * 16
-    assert hypotheses_of(workspace, PEAK, most=0) == []
-
-
-def test_without_peaks_there_are_none(workspace):
-    assert hypotheses_of(workspace) == []
+@pytest.mark.parametrize("version", TEXTS)
+@pytest.mark.parametrize("angle", [20.0, 110.0, 250.0])
+def test_timing_and_quiet_zone_tell_size_and_direction(version, angle, workspace):
+    _, hypotheses, scores, true = searched(version, angle, workspace)
+    best = int(scores.mean(axis=1).argmax())
+    space = hypotheses.space(best)
+    assert space.version == version
+    off = np.abs(corners(hypotheses.pose[best], space.size) - corners(true, space.size)).max()
+    assert off < 1.5 * 5.0
+    assert scores[best].mean() > FINDER.min_single_match

@@ -4,7 +4,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from scenes import middle_us, scene
+from scenes import find, middle_us, scene
 
 from evqr.events.batch import EventBatch
 from evqr.events.buffer import EventBuffer
@@ -27,7 +27,7 @@ def seen(solver, shift_us):
     moving = buffer.answer(solver.motion_at(start))
     assert isinstance(moving, MotionEstimate)
     motion = Motion(moving.motion.parameters, start + 250)
-    detection = solver.find(buffer.window(start, start + 500), motion)
+    detection = find(solver, buffer.window(start, start + 500), motion)
     assert isinstance(detection, Detection)
     later = buffer.window(start + 500, start + 1000)
     (followed,) = solver.follow(EventBatch.of([later]), [detection])

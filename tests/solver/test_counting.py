@@ -5,7 +5,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from scenes import middle_us, motion_at, scene
+from scenes import find, middle_us, motion_at, scene
 
 from evqr.events.batch import EventBatch
 from evqr.events.buffer import EventBuffer
@@ -31,7 +31,7 @@ def found_and_followed(solver):
     made = scene(preset="fast")
     buffer, start = EventBuffer.of(made.events), middle_us(made) - 250
     window = buffer.window(start, start + 500)
-    detection = solver.find(window, motion_at(made.truth["truth"], window.middle_us))
+    detection = find(solver, window, motion_at(made.truth["truth"], window.middle_us))
     (followed,) = solver.follow(EventBatch.of([buffer.window(start + 500, start + 1000)]), [detection])
     (estimate,) = solver.solve([followed])
     return detection, followed, estimate

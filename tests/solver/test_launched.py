@@ -1,7 +1,7 @@
 """What is loaded before threads start is all that reading a code launches."""
 
 import pytest
-from scenes import middle_us, scene
+from scenes import find, middle_us, scene
 
 from evqr.events.batch import EventBatch
 from evqr.events.buffer import EventBuffer
@@ -30,7 +30,8 @@ def test_every_kernel_is_in_a_module_that_was_loaded(monkeypatch):
     monkeypatch.setattr(language.wp, "launch", seen)
     moving = buffer.answer(solver.motion_at(start))
     assert isinstance(moving, MotionEstimate)
-    detection = solver.find(buffer.window(start, start + 500), Motion(moving.motion.parameters, start + 250))
+    motion = Motion(moving.motion.parameters, start + 250)
+    detection = find(solver, buffer.window(start, start + 500), motion)
     assert isinstance(detection, Detection)
     (followed,) = solver.follow(EventBatch.of([buffer.window(start + 500, start + 1000)]), [detection])
     solver.solve([followed])

@@ -2,7 +2,7 @@
 
 import numpy as np
 import pytest
-from scenes import at, corners, noise, scene, window_of
+from scenes import at, corners, find, noise, scene, window_of
 
 from evqr.events.window import make_window
 from evqr.fit.detection import Detection
@@ -30,7 +30,7 @@ def micro(version, angle=20.0, direction=35.0, **options):
 
 
 def found_in(window, solver):
-    return solver.find(window, solver.motion_in(window).motion)
+    return find(solver, window, solver.motion_in(window).motion)
 
 
 def decoded(detection, solver):
@@ -78,7 +78,7 @@ def test_a_qr_code_partly_in_view_is_read_as_nothing(shown, angle, solver):
 
 def test_noise_is_nothing(solver):
     window = make_window(noise(20_000, 2_000), 0, 2_000)
-    found = solver.find(window, Motion(np.array([2_000.0, 1_000.0]), 1_000))
+    found = find(solver, window, Motion(np.array([2_000.0, 1_000.0]), 1_000))
     assert not isinstance(found, Detection)
     assert found.reason in (Reason.NO_FINDER_PATTERNS, Reason.DISAGREES)
 

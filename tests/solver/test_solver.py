@@ -5,7 +5,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from scenes import at, corners, middle_us, motion_at, noise, scene, window_of
+from scenes import at, corners, find, middle_us, motion_at, noise, scene, window_of
 
 from evqr.config import ReadConfig
 from evqr.events.array import EventArray
@@ -56,7 +56,7 @@ def text_of(detection, solver):
 def test_a_code_is_found_in_one_window(options, solver):
     made = scene(**options)
     window = window_of(made)
-    detection = solver.find(window, solver.motion_in(window).motion)
+    detection = find(solver, window, solver.motion_in(window).motion)
     assert isinstance(detection, Detection)
     assert (detection.space.version, detection.space.size) == (2, 25)
     assert detection.time_us == window.middle_us
@@ -72,7 +72,7 @@ def test_a_large_code_is_not_taken_for_one_two_versions_off(solver):
     made = scene(
         "24", version=24, module_px=3.5, angle=30.0, direction=0.0, width=640, height=600, travel_px=4.0
     )
-    detection = solver.find(window_of(made), true_motion(made))
+    detection = find(solver, window_of(made), true_motion(made))
     assert isinstance(detection, Detection)
     assert detection.space.version == 24
     assert text_of(detection, solver) == "24"
@@ -83,27 +83,27 @@ def test_wrong_motion_by_a_tenth_does_no_harm(solver):
     made = scene()
     velocity = true_motion(made).velocity
     for factor in (0.9, 1.1):
-        detection = solver.find(window_of(made), Motion(factor * velocity))
+        detection = find(solver, window_of(made), Motion(factor * velocity))
         assert modules_off(detection, made) < 0.2
 
 
 def test_lags_that_are_known_are_not_estimated(solver):
     made = scene(preset="fast")
-    detection = solver.find(window_of(made), true_motion(made), tau_us=(100.0, 300.0))
+    detection = find(solver, window_of(made), true_motion(made), tau_us=(100.0, 300.0))
     assert detection.tau_us == (100.0, 300.0)
     fixed = Solver(ReadConfig(lag_us=(50.0, 80.0)))
-    found = fixed.find(window_of(made), true_motion(made), tau_us=(100.0, 300.0))
+    found = find(fixed, window_of(made), true_motion(made), tau_us=(100.0, 300.0))
     assert found.tau_us == (50.0, 80.0)
 
 
 def test_searching_again_in_between_changes_nothing(solver):
     """Nothing of a window is left in the buffers for the next one."""
     made, other = scene(), scene(preset="fast", angle=45.0)
-    first = solver.find(window_of(made), true_motion(made))
-    solver.find(window_of(other), true_motion(other))
-    solver.find(window_of(other, 5.0), true_motion(other))
-    again = solver.find(window_of(made), true_motion(made))
-    fresh = Solver().find(window_of(made), true_motion(made))
+    first = find(solver, window_of(made), true_motion(made))
+    find(solver, window_of(other), true_motion(other))
+    find(solver, window_of(other, 5.0), true_motion(other))
+    again = find(solver, window_of(made), true_motion(made))
+    fresh = find(Solver(), window_of(made), true_motion(made))
     assert again == first == fresh
     assert hash(again) == hash(first)
     assert pickle.loads(pickle.dumps(first)) == first
@@ -112,7 +112,7 @@ def test_searching_again_in_between_changes_nothing(solver):
 @pytest.mark.parametrize("count", [0, 300, 20_000])
 def test_a_window_without_a_code_gives_a_reason(count, solver):
     window = make_window(noise(count, 1000), 0, 1000)
-    unseen = solver.find(window, Motion([3000.0, -1000.0]))
+    unseen = find(solver, window, Motion([3000.0, -1000.0]))
     assert isinstance(unseen, NotFound)
     assert unseen.reason in (Reason.NO_FINDER_PATTERNS, Reason.DISAGREES)
     assert str(unseen).startswith(unseen.reason.text)
@@ -120,22 +120,22 @@ def test_a_window_without_a_code_gives_a_reason(count, solver):
 
 
 def test_what_does_not_move_cannot_be_seen(solver):
-    assert solver.find(window_of(scene()), Motion([0.0, 0.0])) == NotFound(Reason.NOTHING_MOVES)
+    assert find(solver, window_of(scene()), Motion([0.0, 0.0])) == NotFound(Reason.NOTHING_MOVES)
 
 
 def test_results_say_how_long_their_stages_took(solver):
     made = scene(travel_px=20.0)
     window = window_of(made, middle=500)
     moving = solver.motion_in(window)
-    found = solver.find(window, moving.motion)
-    nothing = solver.find(make_window(noise(0, 1000), 0, 1000), moving.motion)
+    found = find(solver, window, moving.motion)
+    nothing = find(solver, make_window(noise(0, 1000), 0, 1000), moving.motion)
     followed = follow(solver, window_of(made, middle=1000), found)
     assert set(moving.timings_ms) - {"one_time"} == {"motion"}
     assert {"finder", "pose", "stage_one"} <= set(found.timings_ms)
     assert set(nothing.timings_ms) - {"one_time"} == {"finder"}
     assert set(followed.timings_ms) - {"one_time"} == {"stage_one"}
     kept = dict(found.timings_ms)
-    solver.find(window, moving.motion)
+    find(solver, window, moving.motion)
     assert found.timings_ms == kept
     assert all(ms > 0.0 for result in (moving, found, nothing, followed) for ms in result.timings_ms.values())
 
@@ -146,7 +146,7 @@ def test_results_say_how_long_their_stages_took(solver):
 @pytest.fixture(scope="module")
 def detection(solver):
     made = scene(travel_px=20.0)
-    return solver.find(window_of(made, middle=500), true_motion(made, 500))
+    return find(solver, window_of(made, middle=500), true_motion(made, 500))
 
 
 def test_a_pose_moves_with_the_velocity(detection):

@@ -168,17 +168,6 @@ def test_one_code_that_turns_is_not_counted_twice_though_its_motion_is_taken_for
     assert known.merge_with_earlier(TEXT, faster) == (0, True)
 
 
-def test_one_code_is_not_counted_twice_where_its_velocity_was_measured_over_too_short_a_time():
-    """Noisy poses 60 us apart: 8 px/ms are seen as 12.7 one way and 7.2 another."""
-    body, known = Body(straight((152, 113), (6_550, 4_590))), KnownCodes(SchedulerConfig(), WIDTH, HEIGHT)
-    first, found = (
-        replace(body.seen(t), motion=Motion(np.array(velocity), 1e6 * t))
-        for t, velocity in ((0.0, (12_332.0, 3_069.0)), (0.0012, (-2_896.0, 6_623.0)))
-    )
-    known.merge_with_earlier(TEXT, first)
-    assert known.merge_with_earlier(TEXT, found) == (0, True)
-
-
 @pytest.mark.parametrize("name", TWO)
 def test_two_codes_are_not_counted_as_one(name):
     first, second, times = TWO[name]

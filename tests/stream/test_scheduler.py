@@ -125,12 +125,12 @@ class Scripted:
         yield start_us, start_us + (100 if self.searches == 1 else 30_000)
         return MotionEstimate(self.motion, 0.5) if self.searches == 1 else NotFound(Reason.NOTHING_MOVES)
 
-    def find(self, window, motion, *, tau_us=None, thorough=True):
+    def find(self, batch, motions, *, tau_us=None):
         self.finds += 1
         if self.finds > 1:
-            return NotFound(Reason.DISAGREES)
-        target = Target(qr.space(1), np.eye(3), motion.at(window.middle_us))
-        return Detection(target, np.ones(2), 0.9, 1.0, None, 1)
+            return [NotFound(Reason.DISAGREES)]
+        target = Target(qr.space(1), np.eye(3), motions[0].at(batch.windows[0].middle_us))
+        return [(Detection(target, np.ones(2), 0.9, 1.0, None, 1),)]
 
 
 class FollowedFor:
@@ -271,33 +271,3 @@ def test_codes_in_view_at_once_are_no_more_than_the_settings_say(mixed):
     solver = Solver(ReadConfig(scheduler=SchedulerConfig(codes_a_search=1)))
     records, _ = records_of([mixed], solver)
     assert max(r.codes for r in kinds(records, Searched)) == 1
-
-
-# ---- no more work than there is reason for
-
-
-def test_something_slow_is_found_behind_a_gap(solver):
-    slow = scene(speed_px_ms=0.4, travel_px=14.0, version=1, preset="slow").events
-    quiet = noise(3_000, 31_000, width=slow.width, height=slow.height)
-    records, _ = records_of([joined(quiet, slow)], solver)
-    (read,) = kinds(records, CodeRead)
-    late = read.reading.t_read_us - 31_000
-    window_us = solver.window_us(Motion(read.reading.motion_px_per_s))
-    assert late < 10_000 + 2 * window_us
-
-
-def test_beside_a_code_that_was_read_few_searches_are_thorough(monkeypatch):
-    solver, asked = Solver(), []
-    find = solver.find
-
-    def counted(*args, thorough=True, **options):
-        asked.append(thorough)
-        return find(*args, thorough=thorough, **options)
-
-    monkeypatch.setattr(solver, "find", counted)
-    events = scene(version=1, module_px=4.0, travel_px=110.0, **VIEW).events
-    records, _ = records_of([events], solver)
-    assert len(kinds(records, CodeRead)) == 1
-    assert asked[0]
-    assert asked[-1] is False or len(asked) > 4
-    assert sum(asked[2:]) <= 1 + len(asked) // solver.config.scheduler.thorough_every

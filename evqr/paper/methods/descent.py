@@ -41,6 +41,7 @@ import numpy as np
 from numpy.typing import DTypeLike, NDArray
 
 from evqr.clock import StageClock
+from evqr.events.batch import EventBatch
 from evqr.events.window import Window
 from evqr.fit.detection import NotFound
 from evqr.fit.model import MOST_QUIET_MODULES as QUIET_MODULES
@@ -49,9 +50,9 @@ from evqr.geometry import module_px, outline
 from evqr.motion import Motion
 from evqr.paper.methods.method import Outcome, Watch, unwatched
 from evqr.paper.methods.start import find_pose, principal_motion
-from evqr.search.finder import find_hypotheses
-from evqr.search.hypothesis import Layout
-from evqr.search.screen import screen
+from evqr.search.finder import find_patterns
+from evqr.search.score import score
+from evqr.search.triples import codes_of_triples
 from evqr.solver import Solver
 from evqr.symbol import qr
 from evqr.symbol.decode import decode_grid
@@ -200,15 +201,16 @@ class Descent:
         if isinstance(moving, NotFound):
             return None
         finder, workspace = solver.config.finder, solver.workspace
-        found = find_hypotheses(window, moving.motion, finder, workspace=workspace)
-        guesses = [h for h in found.hypotheses(Layout.THREE_CORNERS) if h.space.version == self.version]
-        if not guesses:
+        (found,), pyramid = find_patterns(
+            EventBatch.of([window]), [moving.motion], finder, workspace=workspace
+        )
+        made = codes_of_triples(found.peaks.table, found.triples, finder)
+        made = made[np.array([made.space(k).version == self.version for k in range(len(made))], bool)]
+        if not len(made):
             return None
-        candidates, _ = screen(guesses, found.pyramid, solver.config.align, workspace=workspace)
-        # which triple is the code is known from its refined pose; the descent starts from the pose as found
-        shape = qr.space(self.version).shape
-        refined = outline(candidates[0].pose, shape)
-        pose = min((h.pose for h in guesses), key=lambda p: float(np.abs(outline(p, shape) - refined).max()))
+        alone = np.zeros(len(made), np.intp)
+        scores = score(pyramid, alone, made.size, made.pose, solver.config.align, workspace=workspace)
+        pose = made.pose[int(scores.mean(axis=1).argmax())]
         return moving.motion, pose
 
 

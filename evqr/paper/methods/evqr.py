@@ -68,4 +68,7 @@ class Own:
 
     def _find(self, window: Window) -> Detection | NotFound:
         moving = self._solver.motion_in(window)
-        return moving if isinstance(moving, NotFound) else self._solver.find(window, moving.motion)
+        if isinstance(moving, NotFound):
+            return moving
+        (found,) = self._solver.find(EventBatch.of([window]), [moving.motion])
+        return found if isinstance(found, NotFound) else found[0]

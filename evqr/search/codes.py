@@ -1,0 +1,378 @@
+"""All codes of windows: from finder patterns to detections that do not overlap.
+
+Hypotheses are scored many at once by what all symbols of their size show, and the best are looked at closely:
+aligned with all that is known of the size, then on an image of their own.  Finder patterns within a code that
+agrees well are its own, so that hypotheses with one of them are dropped; the next round looks at the best of
+those that are left, as many at once as do not share patterns.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from itertools import islice
+
+import numpy as np
+from numpy.typing import NDArray
+
+from evqr.clock import StageClock
+from evqr.config import ReadConfig
+from evqr.events.batch import EventBatch
+from evqr.fit.detection import NO_LAG, Detection, NotFound, Target
+from evqr.fit.refine import complete, refine
+from evqr.geometry import inverse
+from evqr.motion import Motion
+from evqr.reason import Reason
+from evqr.search.finder import Found, find_patterns
+from evqr.search.hypothesis import Hypotheses
+from evqr.search.pyramid import Pyramid
+from evqr.search.score import score
+from evqr.search.screen import Candidate, screen
+from evqr.search.singles import codes_of_singles
+from evqr.search.triples import codes_of_triples
+from evqr.workspace import Workspace
+
+
+@dataclass(frozen=True, eq=False)
+class _Row:
+    """Hypotheses of one place in one window, best first: those of the same finder patterns."""
+
+    window: _Window
+    hypotheses: Hypotheses
+
+
+class _Window:
+    """What is known of the codes of one window while it is searched."""
+
+    def __init__(
+        self, index: int, found: Found, motion: Motion, tau_us: tuple[float, float] | None, cfg: ReadConfig
+    ) -> None:
+        self.index, self.motion, self.tau_us = index, motion, tau_us
+        self.codes: list[Detection] = []
+        self.closest = 0.0
+        self.tried = 0
+        self._cfg = cfg
+        self._peaks = found.peaks
+        self._taken = np.zeros(len(found.peaks), bool)
+        self._failures, self._most = 0, cfg.finder.tries
+        made = codes_of_triples(found.peaks.table, found.triples, cfg.finder)[: cfg.finder.hypotheses]
+        first = cfg.finder.first_hypotheses
+        self._waiting = [part for part in (made[:first], made[first:]) if len(part)]
+        self._matching = made[:0]
+        self._match = np.zeros(0, np.float32)
+
+    @property
+    def sure(self) -> bool:
+        """Whether there is a code that agrees well."""
+        return any(code.score >= self._cfg.align.good_score for code in self.codes)
+
+    def next_to_score(self) -> Hypotheses | None:
+        """Give the hypotheses that are to be scored now; None where all are."""
+        if not self._waiting:
+            return None
+        now = self._free(self._waiting.pop(0))
+        self.tried += len(now)
+        return now
+
+    def next_singles(self) -> NDArray[np.intp]:
+        """Give the finder patterns that are each tried as the only one of a code."""
+        self._failures, self._most = 0, self._cfg.finder.single_tries
+        self._matching, self._match = self._matching[:0], self._match[:0]
+        return np.flatnonzero(~self._taken)[: 0 if self.sure else self._cfg.finder.single_patterns]
+
+    def scored(self, hypotheses: Hypotheses, scores: NDArray[np.float32], least: float) -> None:
+        """Take scores (N, 2) of hypotheses: those that match are looked at, best first."""
+        match = np.concatenate([self._match, 0.5 * (scores[:, 0] + scores[:, 1])])
+        both = Hypotheses.joined([self._matching, hypotheses])
+        order = np.argsort(-match, kind="stable")
+        best = order[match[order] >= least]
+        self._matching, self._match = both[best], match[best]
+
+    def rows(self) -> list[_Row]:
+        """Give what is looked at next: the best, and others that share no finder pattern with those before.
+
+        Only what is clearly a code while others are still to be scored, or where there is one already; and
+        one alone while it is not known how the pixels lag, for it will tell.
+        """
+        finder = self._cfg.finder
+        clear_only = bool(self._waiting) or self.sure
+        chosen: list[_Row] = []
+        used: set[int] = set()
+        while len(chosen) < self._most - self._failures:
+            free = self._are_free(self._matching, used)
+            k = int(free.argmax()) if len(free) else 0
+            if not len(free) or not free[k]:
+                break
+            clear = bool(self._match[k] >= finder.clear_match)
+            if clear_only and not clear:
+                break
+            patterns = self._matching.peaks[k]
+            same = (self._matching.peaks == patterns).all(axis=1)
+            chosen.append(_Row(self, self._matching[same]))
+            self._matching, self._match = self._matching[~same], self._match[~same]
+            used.update(patterns.tolist())
+            if clear and self.tau_us is None:
+                break
+        return chosen
+
+    def _are_free(self, hypotheses: Hypotheses, used: set[int]) -> NDArray[np.bool_]:
+        """Whether hypotheses have no finder pattern of a code, and none of those in use."""
+        taken = self._taken
+        if used:
+            taken = taken.copy()
+            taken[list(used)] = True
+        return ~np.any(taken[hypotheses.peaks], axis=1)
+
+    def _free(self, hypotheses: Hypotheses) -> Hypotheses:
+        """Give the hypotheses that have no finder pattern of a code."""
+        return hypotheses[self._are_free(hypotheses, set())] if self._taken.any() else hypotheses
+
+    def failed(self, closest: float) -> None:
+        """Note that what was looked at is no code."""
+        self._failures += 1
+        self.closest = max(self.closest, closest)
+
+    def found(self, code: Detection) -> None:
+        """Take a code.  Where it agrees well, the finder patterns within it are its own."""
+        self.codes.append(code)
+        if code.score < self._cfg.align.good_score:
+            self._failures += 1
+            return
+        self._failures = 0
+        if self.tau_us is None:
+            self.tau_us = code.tau_us
+        x, y = self._peaks.position.T.astype(np.float64)
+        self._taken |= _inside(code.target, x, y, margin=1.0)
+
+    def result(self) -> tuple[Detection, ...] | NotFound:
+        """Give the codes, best first, none over another; or why there is none."""
+        kept: list[Detection] = []
+        for code in sorted(self.codes, key=lambda code: -code.score):
+            if not any(_overlap(code.target, other.target) for other in kept):
+                kept.append(code)
+        if kept:
+            return tuple(kept)
+        if not self.tried:
+            return NotFound(Reason.NO_FINDER_PATTERNS, f"{len(self._peaks)} candidates")
+        detail = f"{self.closest:.2f}, the best of {self.tried} candidates"
+        return NotFound(Reason.DISAGREES, detail, self.closest)
+
+
+def _inside(
+    target: Target, x: NDArray[np.float64], y: NDArray[np.float64], margin: float
+) -> NDArray[np.bool_]:
+    """Whether places [px] lie within a code and a margin [modules]."""
+    u, v, w = (row[0] * x + row[1] * y + row[2] for row in inverse(target.pose).tolist())
+    across, down = target.space.columns / 2.0, target.space.rows / 2.0
+    return (np.abs(u / w - across) < across + margin) & (np.abs(v / w - down) < down + margin)
+
+
+def _overlap(one: Target, other: Target) -> bool:
+    """Whether the centre of one of two codes lies within the other."""
+    return any(bool(_inside(a, *b.centre[:, None], margin=0.0)[0]) for a, b in ((one, other), (other, one)))
+
+
+def find_codes(
+    batch: EventBatch,
+    motions: Sequence[Motion],
+    tau_us: Sequence[tuple[float, float] | None],
+    cfg: ReadConfig,
+    *,
+    workspace: Workspace,
+    clock: StageClock,
+) -> list[tuple[Detection, ...] | NotFound]:
+    """Find all codes of windows, along one motion each.
+
+    Parameters
+    ----------
+    batch : EventBatch
+        B windows.
+    motions : sequence of Motion
+        Of the codes of each, at the middle of the window.
+    tau_us : sequence of (float, float) or None [us]
+        Time constants of the pixels, a window; None: not known.
+    cfg : ReadConfig
+        Settings.
+    workspace : Workspace
+        Buffers.
+    clock : StageClock
+        To which the times are added, by stage.
+
+    Returns
+    -------
+    found : list of tuple of Detection, or NotFound
+        For each window its codes, best first, or why there is none.  It does not depend on the others.
+    """
+    with clock("finder"):
+        found, pyramid = find_patterns(
+            batch, motions, cfg.finder, workspace=workspace,
+            lags_px=[NO_LAG if tau == NO_LAG else None for tau in tau_us],
+        )  # fmt: skip
+        windows = [
+            _Window(k, one, motion, tau, cfg)
+            for k, (one, motion, tau) in enumerate(zip(found, motions, tau_us, strict=True))
+        ]
+    while _score(windows, pyramid, cfg, workspace, clock):
+        while rows := [row for window in windows for row in window.rows()]:
+            _try(batch, rows, pyramid, cfg, workspace, clock)
+    if _score_singles(windows, found, pyramid, cfg, workspace, clock):
+        while rows := [row for window in windows for row in window.rows()]:
+            _try(batch, rows, pyramid, cfg, workspace, clock)
+    return [window.result() for window in windows]
+
+
+def _score(
+    windows: list[_Window], pyramid: Pyramid, cfg: ReadConfig, workspace: Workspace, clock: StageClock
+) -> bool:
+    """Score the next hypotheses of all windows; False where there are none."""
+    asked = [(window, now) for window in windows if (now := window.next_to_score()) is not None]
+    if not asked:
+        return False
+    with clock("pose"):
+        _score_all(asked, pyramid, cfg.finder.min_match, cfg, workspace)
+    return True
+
+
+def _score_singles(
+    windows: list[_Window],
+    found: list[Found],
+    pyramid: Pyramid,
+    cfg: ReadConfig,
+    workspace: Workspace,
+    clock: StageClock,
+) -> bool:
+    """Score finder patterns as the only ones of codes; False where there are none."""
+    which = [window.next_singles() for window in windows]
+    counts = np.array([len(some) for some in which])
+    if not counts.sum():
+        return False
+    with clock("pose"):
+        peaks = np.concatenate([one.peaks.table[some] for one, some in zip(found, which, strict=True)])
+        of_window = np.repeat(np.arange(len(windows)), counts)
+        hypotheses = codes_of_singles(
+            peaks,
+            np.concatenate(which),
+            of_window,
+            np.array([window.motion.direction for window in windows])[of_window],
+            pyramid,
+            cfg.align,
+            workspace=workspace,
+        )
+        each = len(hypotheses) // len(peaks)
+        ends = np.cumsum(each * counts)
+        parts = [hypotheses[end - each * count : end] for end, count in zip(ends, counts, strict=True)]
+        _score_all(
+            list(zip(windows, parts, strict=True)), pyramid, cfg.finder.min_single_match, cfg, workspace
+        )
+    return True
+
+
+def _score_all(
+    asked: list[tuple[_Window, Hypotheses]],
+    pyramid: Pyramid,
+    least: float,
+    cfg: ReadConfig,
+    workspace: Workspace,
+) -> None:
+    """Score hypotheses of windows in one launch."""
+    asked = [(window, some) for window, some in asked if len(some)]
+    if not asked:
+        return
+    scores = score(
+        pyramid,
+        np.concatenate([np.full(len(some), window.index) for window, some in asked]),
+        np.concatenate([some.size for _, some in asked]),
+        np.concatenate([some.pose for _, some in asked]),
+        cfg.align,
+        workspace=workspace,
+    )
+    end = 0
+    for window, some in asked:
+        window.scored(some, scores[end : end + len(some)], least)
+        end += len(some)
+
+
+def _try(
+    batch: EventBatch,
+    rows: list[_Row],
+    pyramid: Pyramid,
+    cfg: ReadConfig,
+    workspace: Workspace,
+    clock: StageClock,
+) -> None:
+    """Look at hypotheses closely, those of all windows at once."""
+    one = cfg.align
+    with clock("pose"):
+        candidates = _candidates(rows, pyramid, cfg, workspace)
+    for row, some in zip(rows, candidates, strict=True):
+        if not some:
+            row.window.failed(0.0)
+    left = [(row, some) for row, some in zip(rows, candidates, strict=True) if some]
+    if not left:
+        return
+    picked = batch.pick([row.window.index for row, _ in left])
+    with clock("stage_one"):
+        refined = refine(
+            picked,
+            [row.window.motion for row, _ in left],
+            [some for _, some in left],
+            [row.window.tau_us for row, _ in left],
+            cfg,
+            workspace=workspace,
+        )
+    good = []
+    for k, ((row, some), refinement) in enumerate(zip(left, refined, strict=True)):
+        steps = refinement.iterations + sum(candidate.iterations for candidate in some)
+        if refinement.score < one.min_score:
+            row.window.failed(refinement.score)
+        else:
+            good.append((k, row.window, replace(refinement, iterations=steps)))
+    if not good:
+        return
+    codes = complete(
+        picked.pick([k for k, _, _ in good]),
+        [refinement for _, _, refinement in good],
+        [window.tau_us for _, window, _ in good],
+        cfg,
+        workspace=workspace,
+        clock=clock,
+    )
+    for (_, window, _), code in zip(good, codes, strict=True):
+        if code.space.single_pattern and code.score < one.single_score:
+            window.failed(code.score)
+        else:
+            window.found(code)
+
+
+def _sizes_of(hypotheses: Hypotheses, most: int) -> list[Candidate]:
+    """Give the best of hypotheses of one pattern, in each size and direction: only a closer look tells."""
+    quarters = np.round(np.arctan2(hypotheses.pose[:, 1, 0], hypotheses.pose[:, 0, 0]) / (0.5 * math.pi))
+    of_kind: dict[tuple[int, float], int] = {}
+    for k, kind in enumerate(zip(hypotheses.size.tolist(), quarters.tolist(), strict=True)):
+        of_kind.setdefault(kind, k)
+    return [Candidate(hypotheses.space(k), hypotheses.pose[k], 1.0, 0) for k in list(of_kind.values())[:most]]
+
+
+def _candidates(
+    rows: list[_Row], pyramid: Pyramid, cfg: ReadConfig, workspace: Workspace
+) -> list[list[Candidate]]:
+    """Give what is refined of each place, best first: aligned coarsely, but where a pattern was so alone."""
+    one = cfg.align
+    most = one.refined_candidates
+    several = [row for row in rows if not row.hypotheses.single]
+    screened = iter(())
+    if several:
+        every = Hypotheses.joined([row.hypotheses for row in several])
+        windows = [row.window.index for row in several for _ in range(len(row.hypotheses))]
+        screened = iter(screen(every, windows, pyramid, one, workspace=workspace))
+    found = []
+    for row in rows:
+        count = len(row.hypotheses)
+        if row.hypotheses.single:
+            some = _sizes_of(row.hypotheses, cfg.finder.single_candidates)
+        else:
+            some = [candidate for candidate in islice(screened, count) if candidate.score >= one.coarse_score]
+            some = sorted(some, key=lambda candidate: -candidate.score)[:most]
+        found.append(some)
+    return found

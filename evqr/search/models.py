@@ -1,0 +1,127 @@
+"""What all symbols of a size show, in a few hundred points: finder patterns and timing.
+
+A hypothesis can be scored by it before anything is made for its kind and size (`evqr.search.score`): there
+are points for every size of every symbology, made once, by formulas.
+"""
+
+from __future__ import annotations
+
+import functools
+import math
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from evqr.fit.model import profiles
+from evqr.symbol.space import Anchor, Landmark, Symbology, Timing, Version, closed
+from evqr.symbol.symbols import SYMBOLS
+
+SIGMA = 0.5
+"""Blur of the model [modules]: a timing pattern would vanish with more."""
+
+REACH = 4
+"""Points of a finder pattern lie up to so many modules from its centre: its separator is the last that is
+known on all sides."""
+
+
+@dataclass(frozen=True)
+class Size:
+    """A kind of symbol in one size.
+
+    Attributes
+    ----------
+    symbology : Symbology
+        What it is.
+    version : Version
+        Which size of it.
+    anchors : tuple of Anchor
+        Its finder patterns: at its corner, and where it has three, along u and along v.
+    """
+
+    symbology: Symbology
+    version: Version
+    anchors: tuple[Anchor, ...]
+
+
+@functools.cache
+def sizes() -> tuple[Size, ...]:
+    """All sizes of symbols with one or three finder patterns: `Models` are in this order."""
+    found = []
+    for symbology, symbol in SYMBOLS.items():
+        for version in symbol.sizes:
+            anchors = tuple(a for a in symbol.anchors(version) if a.kind is Landmark.FINDER_PATTERN)
+            if len(anchors) in (1, 3):
+                found.append(Size(symbology, version, anchors))
+    return tuple(found)
+
+
+@dataclass(frozen=True, eq=False)
+class Models:
+    """Points of all sizes, one behind the other.
+
+    Attributes
+    ----------
+    points : (S, 4) float32 [modules, modules, 1/module, 1/module]
+        Code coordinates (u, v), and the slope of the printed luminance there.
+    ptr : (K + 1, 3) int32
+        Of each size its first point, the first of its timing, and the one behind its last; the last row is of
+        nothing.
+    """
+
+    points: NDArray[np.float32]
+    ptr: NDArray[np.int32]
+
+
+@functools.cache
+def models() -> Models:
+    """Make the points of all sizes."""
+    parts: list[NDArray[np.float64]] = []
+    ptr = np.zeros((len(sizes()) + 1, 3), np.int32)
+    end = 0
+    for k, size in enumerate(sizes()):
+        patterns = [_pattern() + np.array((anchor.u, anchor.v, 0.0, 0.0)) for anchor in size.anchors]
+        lines = [_line(timing) for timing in SYMBOLS[size.symbology].timing(size.version)]
+        middle = end + sum(map(len, patterns))
+        ptr[k] = end, middle, middle + sum(map(len, lines))
+        parts += [*patterns, *lines]
+        end = ptr[k, 2]
+    ptr[-1] = end
+    return Models(closed(np.concatenate(parts).astype(np.float32)), closed(ptr))
+
+
+@functools.cache
+def _pattern() -> NDArray[np.float64]:
+    """Points of a finder pattern from its centre, one a module along each axis."""
+    steps = np.arange(-REACH, REACH + 1.0)
+    u, v = (grid.ravel() for grid in np.meshgrid(steps, steps))
+    along_u, along_v = np.zeros_like(u), np.zeros_like(u)
+    for size, change in ((7, -2.0), (5, 2.0), (3, -2.0)):
+        # a square of `size` modules is a module's profile, stretched
+        fu, du, _ = profiles((u + size / 2) / size, SIGMA / size)
+        fv, dv, _ = profiles((v + size / 2) / size, SIGMA / size)
+        along_u += change * du / size * fv
+        along_v += change * fu * dv / size
+    return np.stack([u, v, along_u, along_v], axis=1)
+
+
+@functools.cache
+def _across() -> float:
+    """Share of a line's modules in the luminance along its middle; what is beside them is not known."""
+    return float(profiles(np.array([0.5]), SIGMA)[0][0])
+
+
+def _line(timing: Timing) -> NDArray[np.float64]:
+    """Points of a timing pattern, at its ends, at the edges between its modules, and in the quiet zone."""
+    # at each edge and behind the last: from light to dark at the first, and in turn up to the last
+    edge = np.arange(timing.count + 1 + timing.quiet)
+    beside = np.arange(-3, 4)
+    other = edge[:, None] + beside
+    change = np.where((other >= 0) & (other <= timing.count), -2.0 * (-1.0) ** other, 0.0)
+    density = np.exp(-0.5 * (beside / SIGMA) ** 2) / (math.sqrt(2.0 * math.pi) * SIGMA)
+    points = np.zeros((len(edge), 4))
+    points[:, :2] = timing.u, timing.v
+    along = 0 if timing.along_u else 1
+    points[:, along] += edge - 0.5
+    points[:, 2 + along] = _across() * (density * change).sum(axis=1)
+    return points

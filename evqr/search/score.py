@@ -1,0 +1,90 @@
+"""Hypotheses of all windows scored at once, by what all symbols of their size show."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from evqr.config import AlignConfig
+from evqr.geometry import compose
+from evqr.search.models import models
+from evqr.search.pyramid import Pyramid
+from evqr.workspace import Images, Step, Workspace
+
+LEAST_ROOM = 64
+"""Room for hypotheses grows from this in powers of two, so that what was recorded for it is used again."""
+
+
+class Score(Step):
+    """Scores so many poses, on some images."""
+
+    def __init__(self, images: Images, room: int, cfg: AlignConfig, workspace: Workspace) -> None:
+        super().__init__(workspace.backend)
+        self._images, self._ridge = images.device, cfg.ridge
+        self._window, self._size = (workspace.mirror((room,), np.int32) for _ in range(2))
+        self._pose, self._score = workspace.mirror((room, 9)), workspace.mirror((room, 3))
+        known = models()
+        self._nothing = len(known.ptr) - 1
+        self._ptr = workspace.table(("model ptr",), known.ptr)
+        self._points = workspace.table(("model points",), known.points)
+
+    def write(self, window: NDArray[np.intp], size: NDArray[np.intp], pose: NDArray[np.float64]) -> None:
+        """Say which poses [cells] of which sizes, in which images; the rest of the room is left empty."""
+        count = len(size)
+        self._window.host[:count], self._window.host[count:] = window, 0
+        self._size.host[:count], self._size.host[count:] = size, self._nothing
+        self._pose.host[:count] = pose.reshape(-1, 9)
+        for mirror in (self._window, self._size, self._pose):
+            mirror.push()
+
+    def launch(self) -> None:
+        """Launch the kernel."""
+        self._backend.score_poses(
+            self._images, self._window.device, self._pose.device, self._size.device, self._ptr, self._points,
+            self._ridge, self._score.device,
+        )  # fmt: skip
+
+    def read(self) -> NDArray[np.float32]:
+        """Wait for the device and give the scores (room, 3), until the next ones."""
+        return self._score.read()
+
+
+def score(
+    pyramid: Pyramid,
+    window: NDArray[np.intp],
+    size: NDArray[np.intp],
+    pose: NDArray[np.float64],
+    cfg: AlignConfig,
+    *,
+    workspace: Workspace,
+) -> NDArray[np.float32]:
+    """Score hypotheses by their finder patterns and timing alone, as they are.
+
+    Parameters
+    ----------
+    pyramid : Pyramid
+        Of the windows.
+    window : (N,) intp
+        Which of them each is in.
+    size : (N,) intp
+        Which of `evqr.search.models.sizes` each is of.
+    pose : (N, 3, 3) float64
+        Code coordinates to px, affine.
+    cfg : AlignConfig
+        Settings.
+    workspace : Workspace
+        Buffers.
+
+    Returns
+    -------
+    scores : (N, 2) float32
+        Correlation with the finder patterns, and with the timing patterns, for one gain.
+    """
+    room = max(LEAST_ROOM, 1 << (len(size) - 1).bit_length())
+    step = pyramid.images.once(
+        ("score", room, cfg.ridge), lambda: Score(pyramid.images, room, cfg, workspace)
+    )
+    level = pyramid.level_for(pose, cfg.cells_a_module)
+    step.write(window, size, compose(pyramid.from_px(window, level), pose))
+    step.run()
+    return step.read()[: len(size), 1:].copy()
