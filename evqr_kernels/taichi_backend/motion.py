@@ -15,6 +15,7 @@ from evqr_kernels.taichi_backend.language import (
     ti,
 )
 from evqr_kernels.taichi_backend.launches import launch
+from evqr_kernels.taichi_backend.transcendental import make_cos, make_sin
 
 BLOCK = OPERATIONS["motion_correlation"].variant("taichi", "cpu").tile
 """Neighbouring shifts done together, on any device."""
@@ -183,6 +184,7 @@ def motion_correlation(
 def make_surface_peak(dtype, alone: bool):
     """Build the search for the peak; one thread per surface, a few thousand multiply-adds."""
     indices = indices_of_window(alone)
+    cos, sin = make_cos(dtype), make_sin(dtype)
 
     @ti.kernel
     def surface_peak(
@@ -209,7 +211,7 @@ def make_surface_peak(dtype, alone: bool):
 
             # three rows behind those of the surface hold the window, and its first and second derivatives
             for k in range(2 * reach + 1):
-                rows_out[b, size, k] = dtype(0.5) + dtype(0.5) * ti.cos(turn * ti.cast(k - reach, dtype))
+                rows_out[b, size, k] = dtype(0.5) + dtype(0.5) * cos(turn * ti.cast(k - reach, dtype))
             for j in range(size):
                 for i in range(reach, size - reach):
                     total = dtype(0.0)
@@ -254,9 +256,9 @@ def make_surface_peak(dtype, alone: bool):
                 for i in range(left, right):
                     r = ti.cast(i - column, dtype) - x
                     inside = ti.select(ti.abs(r) < half, dtype(0.5), dtype(0.0))
-                    cosine = inside * ti.cos(turn * r)
+                    cosine = inside * cos(turn * r)
                     rows_out[b, size, i] = inside + cosine
-                    rows_out[b, size + 1, i] = inside * turn * ti.sin(turn * r)
+                    rows_out[b, size + 1, i] = inside * turn * sin(turn * r)
                     rows_out[b, size + 2, i] = -turn * turn * cosine
                 total = dtype(0.0)
                 slope_x = dtype(0.0)
@@ -267,9 +269,9 @@ def make_surface_peak(dtype, alone: bool):
                 for j in range(top, bottom):
                     r = ti.cast(j - row, dtype) - y
                     inside = ti.select(ti.abs(r) < half, dtype(0.5), dtype(0.0))
-                    cosine = inside * ti.cos(turn * r)
+                    cosine = inside * cos(turn * r)
                     weight = inside + cosine
-                    first = inside * turn * ti.sin(turn * r)
+                    first = inside * turn * sin(turn * r)
                     second = -turn * turn * cosine
                     blurred = dtype(0.0)
                     along = dtype(0.0)

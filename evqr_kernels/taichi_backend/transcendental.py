@@ -1,7 +1,8 @@
-"""exp, log, atan2 and erf in both precisions on every device: Vulkan has none of them for float64.
+"""exp, log, cos, sin, atan2 and erf in both precisions on every device: Vulkan has none of them for float64.
 
     exp(x) = 2^n exp(r),            n = round(x / ln 2),    r = x - n ln 2 in [-0.35, 0.35], by its series
     log(x) = y + 2 (x - e) / (x + e),    y = log(x) in float32,    e = exp(y)
+    cos(x), sin(x)   by their series, for half a turn on either side
     atan(z) = 2 atan(z / (1 + sqrt(1 + z^2)))   twice, which leaves less than 0.2, then by its series
     erf(x)  = x p(x^2)   up to 1,   1 - exp(-x^2) q(x)   beyond, with polynomials p and q
 
@@ -29,6 +30,9 @@ POWERS = range(13, 0, -1)
 """Powers of the series of exp."""
 
 EXPONENT_BITS = 11
+
+HALF_TURN_POWERS = range(30, 0, -2)
+"""Powers of the series of cos and sin that count at half a turn."""
 
 ODD_POWERS = range(23, 0, -2)
 """Powers of the series of atan."""
@@ -75,6 +79,42 @@ def make_log(dtype):
         return y + dtype(2.0) * (x - e) / (x + e)
 
     return log32 if dtype == ti.f32 else log64
+
+
+@cache
+def make_cos(dtype):
+    """Build the cosine, of up to half a turn on either side."""
+
+    @ti.func
+    def cos32(x):
+        return ti.cos(x)
+
+    @ti.func
+    def cos64(x):
+        value = dtype(1.0)
+        for k in ti.static(HALF_TURN_POWERS):
+            value = dtype(1.0) - value * x * x * dtype(1.0 / (k * (k - 1)))
+        return value
+
+    return cos32 if dtype == ti.f32 else cos64
+
+
+@cache
+def make_sin(dtype):
+    """Build the sine, of up to half a turn on either side."""
+
+    @ti.func
+    def sin32(x):
+        return ti.sin(x)
+
+    @ti.func
+    def sin64(x):
+        value = dtype(1.0)
+        for k in ti.static(HALF_TURN_POWERS):
+            value = dtype(1.0) - value * x * x * dtype(1.0 / (k * (k + 1)))
+        return x * value
+
+    return sin32 if dtype == ti.f32 else sin64
 
 
 @cache

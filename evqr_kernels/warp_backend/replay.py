@@ -39,6 +39,9 @@ turns.  On one core who looks keeps the others from ending theirs."""
 _TURN = np.zeros(64, np.int32)[32:33]
 """What all threads look at, in a cache line of its own: 1 while one has its turn."""
 
+_NO_STEPS = np.zeros(3, np.uint64)
+"""A table for no steps."""
+
 
 @wp.func_native("""
     typedef void (*entry_t)(void*, void*);
@@ -114,7 +117,7 @@ def _launch_of(count: int, table: wp.array) -> wp.Launch:
 @functools.cache
 def _no_steps() -> wp.Launch:
     """Give a launch of no steps: sequences differ from it in their number of steps and their table alone."""
-    return _launch_of(0, wp.zeros(3, dtype=wp.uint64, device="cpu"))
+    return _launch_of(0, wp.array(ptr=_NO_STEPS.ctypes.data, dtype=wp.uint64, shape=3, device="cpu"))
 
 
 def _entry_of(launch: wp.Launch) -> int:
