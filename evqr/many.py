@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping
+import logging
+from collections.abc import Iterable, Iterator, Mapping
 from concurrent.futures import Executor
 from functools import partial
 from os import PathLike, fsdecode
@@ -14,6 +15,7 @@ from evqr.errors import EvqrError
 from evqr.events.array import EventArray
 from evqr.reason import Reason
 from evqr.recording import Recording
+from evqr.recording.options import check_names
 from evqr.results import ReadResult, ReadStatus
 
 if TYPE_CHECKING:
@@ -21,6 +23,8 @@ if TYPE_CHECKING:
 
     from evqr.config import ReadConfig
     from evqr.recording import RecordingOptions
+
+_LOG = logging.getLogger(__name__)
 
 
 def read_many(
@@ -51,9 +55,19 @@ def read_many(
     result : ReadResult
         In the order of ``sources``, each as soon as it and those before it are done.  Status ERROR, with the
         message as ``reason`` and a ``reason_code``, where a source could not be read or its worker was lost.
+
+    Raises
+    ------
+    TypeError
+        When the first result is asked for: ``sources`` are none, or a keyword is unknown.
     """
     if isinstance(sources, (str, PathLike, EventArray, Recording, np.ndarray, Mapping)):
         sources = [sources]
+    elif not isinstance(sources, Iterable):
+        raise TypeError(
+            f"sources must be what read_codes takes, or many of them, got {type(sources).__name__}"
+        )
+    check_names("read_many", opening)
     read = partial(
         _read_one,
         config=config,
@@ -84,6 +98,8 @@ def _read_one(source: Any, **options: Any) -> ReadResult:
     try:
         return read_codes(source, **options)
     except Exception as error:  # whatever is wrong with one source must not end the others
+        if not isinstance(error, EvqrError):
+            _LOG.debug("%s", _name(source), exc_info=True)  # a result has no room for where it happened
         return failed(_name(source), error)
 
 

@@ -21,6 +21,7 @@ from evqr.geometry import affine_to_code
 from evqr.motion import Motion
 from evqr.reason import Reason
 from evqr.recording import Recording, open_recording
+from evqr.recording.options import check_names
 from evqr.results import Candidate, CodeReading, Nearest, ReadResult, ReadStatus, WindowCode, WindowReading
 from evqr.search.motion_estimate import MotionEstimate
 from evqr.solver import Solver
@@ -93,6 +94,7 @@ def read_codes(
     TypeError, ValueError
         An argument is of the wrong type, or makes no sense.
     """
+    check_names("read_codes", opening)
     started = time.perf_counter()
     with ExitStack() as stack:
         recording, path = _open(source, opening, stack)
@@ -247,6 +249,7 @@ def read_windows(
     RecordingError, MissingExtra, UsageError, BackendError, TypeError, ValueError
         As for `read_codes`, when the first window is asked for, or later for what is wrong further on.
     """
+    check_names("read_windows", opening)
     with ExitStack() as stack:
         recording, _ = _open(source, opening, stack)
         solvers, pool = _solvers(threads, stack, config=config, backend=backend, device=device)

@@ -104,6 +104,24 @@ def test_a_fault_of_the_program_is_one_line_and_a_status_of_its_own(capsys, monk
     )  # fmt: skip
 
 
+def test_debug_shows_where_a_worker_failed(monkeypatch, tmp_path):
+    """The worker is another process: what it prints goes to its own standard error."""
+    broken = "import evqr.offline\nevqr.offline.read_codes = lambda source, **options: [][0]\n"
+    (tmp_path / "sitecustomize.py").write_text(broken)
+    for name in ("a", "b"):
+        (tmp_path / name).touch()
+    monkeypatch.setenv("PYTHONPATH", os.pathsep.join([str(tmp_path), *sys.path]))
+    script = "from evqr.main import run; raise SystemExit(run())"
+    for debug, shown in (((), 0), (("--debug",), 2)):
+        done = subprocess.run(
+            [sys.executable, "-c", script, "read", "a", "b", "--jobs", "2", "--backend", "numpy", *debug],
+            cwd=tmp_path, capture_output=True, text=True, check=False,
+        )  # fmt: skip
+        assert done.returncode == 3
+        assert done.stderr.count("Traceback (most recent call last)") == shown, done.stderr
+        assert done.stderr.count("IndexError: list index out of range") == 2 + shown
+
+
 def test_ctrl_c_while_reading_is_one_line(capsys, reads, recording):
     reads(KeyboardInterrupt())
     assert run(capsys, "read", recording) == (130, [], ["evqr: interrupted"])

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import functools
+import logging
 import multiprocessing
 import os
 import re
@@ -164,12 +165,15 @@ def recording_options(command: Callable[..., Any]) -> Callable[..., Any]:
 
 _OPENING = {
     "sensor": click.option(
-        "--sensor", type=SizeType(), metavar="WxH", help="Sensor size, where the recording does not tell."
+        "--sensor",
+        type=SizeType(),
+        metavar="WxH",
+        help="Sensor size, where the recording does not tell, or tells wrong.",
     ),
     "time_unit": click.option(
         "--time-unit",
         type=click.Choice(["us", "ms", "s", "ns"]),
-        help="Unit of the stored time stamps, where the recording does not tell.",
+        help="Unit of the stored time stamps, where the recording does not tell, or tells wrong.",
     ),
     "stream": click.option(
         "--stream", metavar="NAME", help="Which of several event streams, groups or topics; see evqr info."
@@ -217,11 +221,16 @@ def backend_options(command: Callable[..., Any]) -> Callable[..., Any]:
     return command
 
 
-def _begin_worker() -> None:
+def _begin_worker(debug: bool = False) -> None:
     """Let a worker end at once, without a traceback, on Ctrl-C, which reaches it too, and with its parent.
 
     A worker of a parent that was killed would work on what was handed out, and then wait for ever.
+    With ``debug`` it prints the tracebacks that results have no room for.
     """
+    if debug:
+        faults = logging.getLogger("evqr.many")
+        faults.addHandler(logging.StreamHandler())
+        faults.setLevel(logging.DEBUG)
     signal.signal(signal.SIGINT, signal.SIG_DFL)
     parent = multiprocessing.parent_process()
     if parent is not None:
@@ -238,6 +247,7 @@ def process_pool(jobs: int) -> Iterator[ProcessPoolExecutor | None]:
         jobs,
         mp_context=multiprocessing.get_context("spawn"),
         initializer=_begin_worker,
+        initargs=(debugging(),),
     )
     try:
         yield pool

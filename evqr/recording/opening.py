@@ -66,7 +66,7 @@ def open_recording(
     UsageError
         An unknown unit, a size that is none, columns that are not the four.
     TypeError
-        A source of another type.
+        A source, or a time, of another type.
     """
     asked = checked(
         sensor=sensor,

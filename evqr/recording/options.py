@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
+from numbers import Integral
 from typing import TYPE_CHECKING, Any, TypedDict
 
 from ..errors import UsageError
@@ -77,6 +78,10 @@ class Asked:
     def __post_init__(self) -> None:
         if self.time_unit is not None and self.time_unit not in PER_SECOND:
             raise UsageError(f"time_unit {self.time_unit!r} is unknown; pass one of {', '.join(PER_SECOND)}")
+        for name in ("start_us", "end_us"):
+            value = getattr(self, name)
+            if value is not None and (isinstance(value, bool) or not isinstance(value, Integral)):
+                raise TypeError(f"{name} must be a whole number or None, got {value!r}")
         if self.chunk_events < 1:
             raise ValueError(f"chunk_events must be at least 1, got {self.chunk_events}")
         if self.start_us is not None and self.end_us is not None and self.end_us <= self.start_us:
@@ -93,3 +98,27 @@ def checked(*, sensor: Any = None, columns: str | Sequence[str] | None = None, *
         if size is None:
             raise UsageError(f"sensor {sensor!r} is no size; pass (640, 480) or '640x480'")
     return Asked(sensor=size, columns=None if columns is None else parse_columns(columns), **others)
+
+
+def check_names(call: str, opening: Mapping[str, Any]) -> None:
+    """Refuse keywords that `open_recording` does not take, in the name of the call that was made.
+
+    Parameters
+    ----------
+    call : str
+        Name of the function.
+    opening : mapping
+        Its keywords that are handed on.
+
+    Raises
+    ------
+    TypeError
+        One of them is unknown; for a setting, with where it goes.
+    """
+    from ..config import ReadConfig
+
+    for name in opening:
+        if name == "chunk_events" or name in RecordingOptions.__annotations__:
+            continue
+        setting = f"; pass config=ReadConfig({name}=...)" if name in ReadConfig.__dataclass_fields__ else ""
+        raise TypeError(f"{call}() got an unexpected keyword argument {name!r}{setting}")

@@ -5,8 +5,6 @@ from __future__ import annotations
 from collections.abc import Callable
 from pathlib import Path
 
-from evqr_kernels.extras import install_command
-
 from ..errors import RecordingError
 from .options import Asked
 from .source import Source, refusal
@@ -79,7 +77,7 @@ def reader_of(path: str) -> Reader:
     else:
         raise RecordingError(
             f"{path}: not an event recording (starts with {head[:16]!r}); known are HDF5, npz, npy, text,"
-            f" Prophesee RAW and DAT, and AEDAT4 and ROS bags with {install_command('formats')}"
+            " Prophesee RAW and DAT, AEDAT and ROS bags"
         )
     return reader
 

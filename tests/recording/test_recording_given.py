@@ -117,6 +117,31 @@ def test_whatever_can_be_opened_can_be_saved(tmp_path):
     assert not (tmp_path / "d.h5").exists()
 
 
+@pytest.mark.parametrize("name", ["start_us", "end_us"])
+@pytest.mark.parametrize("value", [1.5, "5", True])
+def test_times_that_are_no_whole_numbers_are_refused(name, value):
+    with pytest.raises(TypeError, match=rf"^{name} must be a whole number or None, got "):
+        open_recording(EVENTS, **{name: value})
+    with open_recording(EVENTS, start_us=np.int64(EVENTS.t[0] + 1)) as recording:
+        assert 0 < len(recording.read()) < len(EVENTS)
+
+
+@pytest.mark.parametrize("name", ["read_codes", "read_windows", "read_many"])
+def test_a_misspelt_keyword_is_refused_in_the_name_of_the_call(name):
+    def call(**given):
+        return [*(getattr(evqr, name)(EVENTS, **given) or ())]
+
+    with pytest.raises(TypeError, match=rf"^{name}\(\) got an unexpected keyword argument 'sensr'$"):
+        call(sensr=SENSOR)
+    with pytest.raises(TypeError, match=r"'vote'; pass config=ReadConfig\(vote=\.\.\.\)$"):
+        call(vote="soft")
+
+
+def test_read_many_of_no_source_is_refused():
+    with pytest.raises(TypeError, match=r"^sources must be what read_codes takes, or many of them, got int$"):
+        list(evqr.read_many(3))
+
+
 def test_read_many_takes_one_source(tmp_path, monkeypatch):
     monkeypatch.setattr("evqr.offline.read_codes", lambda source, **options: sample_results.read_result())
     path = sample_results.recording(tmp_path / "a.h5")
