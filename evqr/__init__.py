@@ -61,7 +61,7 @@ if TYPE_CHECKING:
         WindowCode,
         WindowReading,
     )
-    from evqr.search.motion_estimate import MotionEstimate
+    from evqr.search.motion_estimate import MotionEstimate, QuietSpells
     from evqr.solver import Solver
     from evqr.symbol.gs1 import Gs1Element
     from evqr.symbol.messages import Message, join_messages
@@ -102,6 +102,7 @@ __all__ = [
     "NotFound",
     "PackedEvents",
     "Payload",
+    "QuietSpells",
     "ReadConfig",
     "ReadResult",
     "ReadStatus",
@@ -200,7 +201,7 @@ _HOME = {
         "WindowCode",
         "WindowReading",
     ),
-    "evqr.search.motion_estimate": ("MotionEstimate",),
+    "evqr.search.motion_estimate": ("MotionEstimate", "QuietSpells"),
     "evqr.solver": ("Solver",),
     "evqr.symbol.gs1": ("Gs1Element",),
     "evqr.symbol.messages": (
