@@ -188,3 +188,9 @@ def test_doctor_knows_the_extras():
     offered = set(metadata.metadata("evqr").get_all("Provides-Extra") or ())
     assert set(EXTRAS) <= offered
     assert offered - set(EXTRAS) <= {"perf", "portability", "test", "dev", "docs"}
+
+
+@pytest.mark.parametrize("arguments", [("info", "-"), ("convert", "-", "out.h5")])
+def test_standard_input_is_refused_where_it_is_not_taken(capsys, arguments):
+    said = f"evqr: -: standard input is taken by evqr read; save it to a file for evqr {arguments[0]}"
+    assert run(capsys, *arguments) == (2, [], [said])

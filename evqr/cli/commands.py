@@ -22,6 +22,7 @@ from evqr.cli.options import (
     recording_options,
     share_bar,
 )
+from evqr.cli.sources import STANDARD_INPUT
 from evqr.errors import EvqrError, MissingExtra, StreamChoice, UsageError
 from evqr.output import records
 from evqr.values import json_line
@@ -30,12 +31,20 @@ if TYPE_CHECKING:
     from evqr.recording import RecordingOptions
 
 
+def _one_file(context: click.Context, parameter: click.Parameter, recording: Path) -> Path:
+    """Refuse standard input, which evqr read takes beside files."""
+    if str(recording) == STANDARD_INPUT and not recording.exists():
+        name = context.command.name
+        raise UsageError(f"-: standard input is taken by evqr read; save it to a file for evqr {name}")
+    return recording
+
+
 @click.command(
     epilog=examples(
         "evqr info line3.raw --picture line3.png", "evqr info events.txt --sensor 640x480 --time-unit s"
     )
 )
-@click.argument("recording", metavar="RECORDING", type=click.Path(path_type=Path))
+@click.argument("recording", metavar="RECORDING", type=click.Path(path_type=Path), callback=_one_file)
 @click.option("--json", "as_json", is_flag=True, help="One JSON object on stdout.")
 @recording_options
 @click.option(
@@ -85,7 +94,7 @@ _THERE = "{}: is there already; choose another name, or write over it with --for
         "evqr convert long.csv part.raw --sensor 640x480 --start-us 1000000 --end-us 2000000",
     )
 )
-@click.argument("recording", metavar="IN", type=click.Path(path_type=Path))
+@click.argument("recording", metavar="IN", type=click.Path(path_type=Path), callback=_one_file)
 @click.argument("output", metavar="OUT", type=click.Path(path_type=Path))
 @recording_options
 @click.option("--force", is_flag=True, help="Write over OUT if it is there.")
