@@ -35,8 +35,8 @@ from evqr import EventArray, Solver
 from evqr.events.batch import EventBatch
 from evqr.events.buffer import EventBuffer
 from evqr.events.window import Window
-from evqr.fit.detection import Detection
-from evqr.search.motion_estimate import MotionEstimate
+from evqr.fit.detection import Detection, NotFound
+from evqr.search.motion_estimate import MotionEstimate, estimate_motions
 from evqr.symbol.decode import decode_grid
 from evqr_kernels import OPERATIONS, register_backend
 
@@ -177,18 +177,16 @@ class Observed:
 
     Attributes
     ----------
-    windows     that it stands for
-    times       that it has to be done for them: 1, or as often as there are windows
+    windows     of the batch
     events      of a window
-    counts      of doing it once
+    counts      of doing it
     turns       by operation and arguments: iterations and samples, means over launches
     host, decode
-                processor time of doing it once [s]
+                processor time of doing it [s]
     right       whether all windows were read
     """
 
     windows: int
-    times: int
     events: int
     counts: Counts
     turns: dict[Called, tuple[float, float]]
@@ -262,17 +260,17 @@ def model(observed: Observed, code: dict[str, Code], device: Device, bus: float)
         part = parts.setdefault(launch.name, Part(launch.name))
         per_thread, bounds = _bounds(launch, observed, code, device)
         largest = max(bounds, key=lambda name: bounds[name])
-        part.launches += count * observed.times
+        part.launches += count
         part.threads = max(part.threads, launch.threads)
         part.instructions = max(part.instructions, per_thread)
-        part.seconds += count * observed.times * (bounds[largest] + GAP)
+        part.seconds += count * (bounds[largest] + GAP)
         part.bounds[largest] += count * bounds[largest]
         part.bounds["gap"] += count * GAP
     return Modelled(
-        observed.times * observed.host,
-        observed.times * LAUNCH * (counts.launches + counts.recorded),
-        observed.times * (UPLOAD * counts.uploads + DOWNLOAD * counts.downloads),
-        observed.times * (counts.up_bytes + counts.down_bytes) / bus,
+        observed.host,
+        LAUNCH * (counts.launches + counts.recorded),
+        UPLOAD * counts.uploads + DOWNLOAD * counts.downloads,
+        (counts.up_bytes + counts.down_bytes) / bus,
         sum(part.seconds for part in parts.values()),
         tuple(sorted(parts.values(), key=lambda part: -part.seconds)),
     )
@@ -355,36 +353,32 @@ def follow(scene: Scene, windows: int, solver: Solver) -> Callable[[], list[Any]
 
 
 def find(scene: Scene, windows: int, solver: Solver) -> Callable[[], list[Any]]:
-    """Make what reads windows from cold, one after the other."""
-    taken = 0
+    """Make what reads so many windows from cold, all at once: motion on coarse cells and on fine ones, codes."""
+    cut = [scene.window for _ in range(windows)]
 
     def run() -> list[Any]:
-        nonlocal taken
-        found = []
-        for _ in range(windows):
-            buffer = scene.buffers[taken % 2]  # events are to go up again
-            taken += 1
-            moving = buffer.answer(solver.motion_at(scene.start_us))
-            if isinstance(moving, MotionEstimate):
-                length = solver.window_us(moving.motion)
-                seen = solver.find(buffer.window(scene.start_us, scene.start_us + length), moving.motion)
-                if isinstance(seen, Detection):
-                    found += zip(solver.solve([seen]), [seen], strict=True)
-        return found
+        fresh = [Window(each.events, each.start_us, each.end_us) for each in cut]  # events are to go up again
+        cfg, workspace = solver.config.motion, solver.workspace
+        estimate_motions(fresh, cfg, workspace=workspace, reduction=cfg.reduction)
+        moving = estimate_motions(fresh, cfg, workspace=workspace)
+        motions = [each.motion for each in moving if isinstance(each, MotionEstimate)]
+        if len(motions) < windows:
+            return []
+        found = solver.find(EventBatch.of(fresh), motions)
+        seen = [codes[0] for codes in found if not isinstance(codes, NotFound)]
+        return list(zip(solver.solve(seen), seen, strict=True))
 
     return run
 
 
-METHODS = {"tracked": (follow, True), "cold": (find, False)}
-"""How each is made, and whether it takes all windows of a batch at once; otherwise one is counted."""
+METHODS = {"tracked": follow, "cold": find}
+"""How each is made."""
 
 
 def observe(method: str, scene: Scene, windows: int, events: int, solver: Solver) -> Observed:
     """Count what a batch asks for, and measure the host's share of it."""
-    make, at_once = METHODS[method]
-    count = windows if at_once else 1
     backend: Any = solver.workspace.backend
-    run = make(scene, count, solver)
+    run = METHODS[method](scene, windows, solver)
     run()  # makes buffers and records
     backend.counts, backend.turns, backend.downloads = Counts(), defaultdict(list), []
     found = run()
@@ -396,8 +390,8 @@ def observe(method: str, scene: Scene, windows: int, events: int, solver: Solver
         texts[:] = [getattr(decode_grid(each.q, seen.space), "text", None) for each, seen in found[:8]]
 
     decoding = min(_time(decode) for _ in range(3)) * len(found) / max(len(texts), 1)
-    right = len(found) == count and set(texts) == {scene.text}
-    return Observed(windows, windows // count, events, counts, turns, host, decoding, right)
+    right = len(found) == windows and set(texts) == {scene.text}
+    return Observed(windows, events, counts, turns, host, decoding, right)
 
 
 def _mean(turns: Sequence[tuple[float, float]]) -> tuple[float, float]:
@@ -425,15 +419,13 @@ def _time(run: Callable[[], Any]) -> float:
 
 def lines(method: str, observed: Observed, code: dict[str, Code], kernels: int) -> list[str]:
     """Give what to print of a batch: a line a device and bus, and the largest kernels on each device."""
-    counts, times = observed.counts, observed.times
+    counts = observed.counts
     goal = GOALS.get((method, observed.windows, observed.events))
     made = [
         f"{method}, B = {observed.windows}, {observed.events} events a window: "
-        f"{times * (counts.launches + counts.recorded)} launches, {times * counts.uploads} uploads "
-        f"({times * counts.up_bytes / 1e6:.2f} MB), {times * counts.downloads} downloads "
-        f"({times * counts.down_bytes / 1e6:.2f} MB)"
-        + ("" if times == 1 else ", one window after the other")
-        + ("" if observed.right else "  NOT READ"),
+        f"{counts.launches + counts.recorded} launches, {counts.uploads} uploads "
+        f"({counts.up_bytes / 1e6:.2f} MB), {counts.downloads} downloads "
+        f"({counts.down_bytes / 1e6:.2f} MB)" + ("" if observed.right else "  NOT READ"),
     ]
     ms = 1e3
     for device in DEVICES:
@@ -445,7 +437,7 @@ def lines(method: str, observed: Observed, code: dict[str, Code], kernels: int) 
                 + f", {ms * m.total:.2f} ms: Python {ms * m.python:.2f}, copies {ms * m.copies:.2f}, "
                 f"bus {ms * m.bus:.2f}, launching {ms * m.launching:.2f} beside kernels {ms * m.device:.2f}"
             )
-    decode = times * observed.decode
+    decode = observed.decode
     made.append(
         f"  decoding, one core: {ms * decode:.2f} ms, {observed.windows / max(decode, 1e-9):.0f} windows/s"
     )

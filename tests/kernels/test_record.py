@@ -16,11 +16,14 @@ def counting(backend, device):
     """An image of counts, and a function that counts three events into it and mixes it twofold."""
     image, mixed = (backend.from_host(np.zeros((1, 4, 16), np.float32), device) for _ in range(2))
     x, weight = backend.from_host(ONE, device), backend.from_host(ONE, device)
-    ptr, twice = backend.from_host(PTR, device), backend.from_host(np.full((1, 1), 2.0, np.float32), device)
+    ptr, first = backend.from_host(PTR, device), backend.from_host(np.zeros(1, np.int32), device)
+    twice = backend.from_host(np.full((1, 1), 2.0, np.float32), device)
+
+    images = image.reshape((1, 1, 4, 16))
 
     def run():
         backend.bin_events(x, x, weight, ptr, 1.0, image)
-        backend.mix_images(image, twice, mixed)
+        backend.mix_images(images, first, twice, mixed)
 
     return image, mixed, run
 

@@ -50,10 +50,10 @@ GPU = dm.Device("a GPU", 90, processors=10, clock=1e9, memory=1e12, cache=1e6, a
 CODE = machine_code.Code(once=100, around=0, inside=40, loads=4, atomics=0)
 
 
-def modelled(*launches, times=1, bus=1e9, **counts):
+def modelled(*launches, bus=1e9, **counts):
     known = {machine_code.key_of(launch.kernel, 90): CODE for launch in launches if launch.kernel}
     made = Counts(made=Counter(launches), recorded=len(launches), **counts)
-    observed = dm.Observed(times, times, 1000, made, {}, host=1e-3, decode=2e-3, right=True)
+    observed = dm.Observed(1, 1000, made, {}, host=1e-3, decode=2e-3, right=True)
     return dm.model(observed, known, GPU, bus)
 
 
@@ -108,8 +108,6 @@ def test_a_batch_takes_what_its_parts_take():
     assert m.bus == pytest.approx(4e-3) and m.copies == pytest.approx(44e-6)
     assert m.launching == pytest.approx(8e-6) and m.device == pytest.approx(3100 * 2.5e-9 + 2 * dm.GAP)
     assert m.total == pytest.approx(1e-3 + 4e-3 + 44e-6 + m.device)
-    seven = modelled(*launches, times=7, uploads=2, downloads=1, up_bytes=3_000_000, down_bytes=1_000_000)
-    assert seven.total == pytest.approx(7 * m.total)
     assert {part.name: part.launches for part in seven.parts} == {"clip_outliers.clip_rows": 7, "clear": 7}
 
 
@@ -117,7 +115,7 @@ def test_a_kernel_that_the_table_does_not_have_is_marked():
     launch = Launch("new", Kernel("new"), 10, (("image", (5, 20)), ("setting", 3)), 400)
     (part,) = modelled(launch).parts
     assert part.instructions == 100 + 40 * 20
-    observed = dm.Observed(128, 1, 36_000, Counts(made=Counter([launch])), {}, 1e-3, 2e-3, right=False)
+    observed = dm.Observed(128, 36_000, Counts(made=Counter([launch])), {}, 1e-3, 2e-3, right=False)
     printed = dm.lines("tracked", observed, defaultdict(lambda: CODE), 3)
     assert "NOT READ" in printed[0] and "goal 10000" in printed[1]
     assert any("new.new? " in line for line in printed)
