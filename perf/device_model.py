@@ -353,7 +353,7 @@ def follow(scene: Scene, windows: int, solver: Solver) -> Callable[[], list[Any]
 
 
 def find(scene: Scene, windows: int, solver: Solver) -> Callable[[], list[Any]]:
-    """Make what reads so many windows from cold, all at once: motion on coarse cells and on fine ones, codes."""
+    """Make what reads so many windows from cold, all at once: motion, coarsely and precisely, and codes."""
     cut = [scene.window for _ in range(windows)]
 
     def run() -> list[Any]:
