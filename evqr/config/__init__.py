@@ -11,7 +11,7 @@ from __future__ import annotations
 from evqr.config.decode import DecodeConfig
 from evqr.config.fit import AlignConfig, LagConfig, ModulesConfig
 from evqr.config.read import ReadConfig, Vote
-from evqr.config.search import FinderConfig, MotionConfig
+from evqr.config.search import FinderConfig, FinderPass, MotionConfig
 from evqr.config.settings import Settings
 from evqr.config.stream import SchedulerConfig, TrackConfig
 
@@ -19,6 +19,7 @@ __all__ = [
     "AlignConfig",
     "DecodeConfig",
     "FinderConfig",
+    "FinderPass",
     "LagConfig",
     "ModulesConfig",
     "MotionConfig",

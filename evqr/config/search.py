@@ -61,6 +61,31 @@ class MotionConfig(Settings):
 
 
 @dataclass(frozen=True, kw_only=True)
+class FinderPass(Settings):
+    """What one pass over a window takes for a finder pattern.
+
+    Attributes
+    ----------
+    least_module_px : float [px]
+        Smallest module that it searches; 0: all that are searched. Chosen: two thirds of the cells are for
+        smaller ones.
+    floor : float
+        Energy under a template, relative to that over cells of rms strength, below which a place is quiet.
+        Chosen.
+    min_first : float
+        The same of the part of a pattern that is alike in all directions, which is computed first. Chosen:
+        those of codes were seen to be 0.44 and more.
+    min_response : float
+        Normalised response of a finder pattern that counts, 0 to 1. Chosen.
+    """
+
+    least_module_px: NotNegative = 0.0
+    floor: NotNegative = 0.5
+    min_first: Share = 0.25
+    min_response: Share = 0.32
+
+
+@dataclass(frozen=True, kw_only=True)
 class FinderConfig(Settings):
     """Search for finder patterns with a bank of matched filters, and for the codes that they belong to.
 
@@ -82,14 +107,9 @@ class FinderConfig(Settings):
     clip : float
         Cells are clipped at so many times the mean strength of those that have events: a hot pixel is no
         edge. Chosen.
-    floor : float
-        Energy under a template, relative to that over cells of rms strength, below which a place is quiet.
+    passes : tuple of FinderPass
+        One after another until a code is found that agrees well: large modules that stand out, then all.
         Chosen.
-    min_first : float
-        The same of the part of a pattern that is alike in all directions, which is computed first. Chosen:
-        those of codes were seen to be 0.44 and more.
-    min_response : float
-        Normalised response of a finder pattern that counts, 0 to 1. Chosen.
     peaks_a_row : int
         Peaks kept of one row of a level. Chosen.
     peaks : int
@@ -140,9 +160,9 @@ class FinderConfig(Settings):
     half: Annotated[int, Range(least=3, most=32)] = 6
     lag_cells: tuple[NotNegative, NotNegative] = (0.25, 0.5)
     clip: Positive = 3.0
-    floor: NotNegative = 0.5
-    min_first: Share = 0.25
-    min_response: Share = 0.32
+    passes: tuple[FinderPass, ...] = (
+        FinderPass(least_module_px=4.3, floor=0.8, min_first=0.33, min_response=0.38), FinderPass(),
+    )  # fmt: skip
     peaks_a_row: Count = 8
     peaks: Annotated[int, Range(least=3, most=1024)] = 96
     triples_a_corner: Count = 16
@@ -171,5 +191,6 @@ class FinderConfig(Settings):
                 f"largest_module_px must be at least smallest_module_px, {self.smallest_module_px}, "
                 f"got {self.largest_module_px}"
             )
-        if not self.unsure_turns:
-            raise ValueError("unsure_turns must be a tuple of at least one, got ()")
+        for name in ("passes", "unsure_turns"):
+            if not getattr(self, name):
+                raise ValueError(f"{name} must be a tuple of at least one, got ()")

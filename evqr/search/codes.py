@@ -24,7 +24,7 @@ from evqr.fit.refine import complete, refine
 from evqr.geometry import inverse
 from evqr.motion import Motion
 from evqr.reason import Reason
-from evqr.search.finder import Found, find_patterns
+from evqr.search.finder import Found, finding
 from evqr.search.hypothesis import Hypotheses
 from evqr.search.pyramid import Pyramid
 from evqr.search.score import score
@@ -53,12 +53,18 @@ class _Window:
         self.closest = 0.0
         self.tried = 0
         self._cfg = cfg
-        self._peaks = found.peaks
+        self.take(found, last=len(cfg.finder.passes) == 1)
+
+    def take(self, found: Found, last: bool) -> None:
+        """Take what a pass found, instead of what those before did."""
+        cfg = self._cfg
+        self.peaks, self._last = found.peaks, last
         self._taken = np.zeros(len(found.peaks), bool)
-        self._failures, self._most = 0, cfg.finder.tries
+        # where the most promising is no code a more thorough pass will tell, rather than the next ones
+        self._failures, self._most = 0, cfg.finder.tries if last else 1
         made = codes_of_triples(found.peaks.table, found.triples, cfg.finder)[: cfg.finder.hypotheses]
         first = cfg.finder.first_hypotheses
-        self._waiting = [part for part in (made[:first], made[first:]) if len(part)]
+        self._waiting = [part for part in (made[:first], made[first:] if last else made[:0]) if len(part)]
         self._matching = made[:0]
         self._match = np.zeros(0, np.float32)
 
@@ -92,11 +98,11 @@ class _Window:
     def rows(self) -> list[_Row]:
         """Give what is looked at next: the best, and others that share no finder pattern with those before.
 
-        Only what is clearly a code while others are still to be scored, or where there is one already; and
-        one alone while it is not known how the pixels lag, for it will tell.
+        Only what is clearly a code while others are still to be scored or found, or where there is one
+        already; and one alone while it is not known how the pixels lag, for it will tell.
         """
         finder = self._cfg.finder
-        clear_only = bool(self._waiting) or self.sure
+        clear_only = bool(self._waiting) or self.sure or not self._last
         chosen: list[_Row] = []
         used: set[int] = set()
         while len(chosen) < self._most - self._failures:
@@ -142,7 +148,7 @@ class _Window:
         self._failures = 0
         if self.tau_us is None:
             self.tau_us = code.tau_us
-        x, y = self._peaks.position.T.astype(np.float64)
+        x, y = self.peaks.position.T.astype(np.float64)
         self._taken |= _inside(code.target, x, y, margin=1.0)
 
     def result(self) -> tuple[Detection, ...] | NotFound:
@@ -154,7 +160,7 @@ class _Window:
         if kept:
             return tuple(kept)
         if not self.tried:
-            return NotFound(Reason.NO_FINDER_PATTERNS, f"{len(self._peaks)} candidates")
+            return NotFound(Reason.NO_FINDER_PATTERNS, f"{len(self.peaks)} candidates")
         detail = f"{self.closest:.2f}, the best of {self.tried} candidates"
         return NotFound(Reason.DISAGREES, detail, self.closest)
 
@@ -205,18 +211,32 @@ def find_codes(
         For each window its codes, best first, or why there is none.  It does not depend on the others.
     """
     with clock("finder"):
-        found, pyramid = find_patterns(
+        finder = finding(
             batch, motions, cfg.finder, workspace=workspace,
             lags_px=[NO_LAG if tau == NO_LAG else None for tau in tau_us],
         )  # fmt: skip
+        pyramid = finder.pyramid
         windows = [
             _Window(k, one, motion, tau, cfg)
-            for k, (one, motion, tau) in enumerate(zip(found, motions, tau_us, strict=True))
+            for k, (one, motion, tau) in enumerate(
+                zip(finder.find(0, range(len(batch))), motions, tau_us, strict=True)
+            )
         ]
-    while _score(windows, pyramid, cfg, workspace, clock):
-        while rows := [row for window in windows for row in window.rows()]:
-            _try(batch, rows, pyramid, cfg, workspace, clock)
-    if _score_singles(windows, found, pyramid, cfg, workspace, clock):
+    left = windows
+    passes = len(cfg.finder.passes)
+    for which in range(passes):
+        if which:
+            left = [window for window in windows if not window.sure]
+            if not left:
+                break
+            with clock("finder"):
+                found = finder.find(which, [window.index for window in left])
+                for window in left:
+                    window.take(found[window.index], last=which == passes - 1)
+        while _score(left, pyramid, cfg, workspace, clock):
+            while rows := [row for window in left for row in window.rows()]:
+                _try(batch, rows, pyramid, cfg, workspace, clock)
+    if _score_singles(windows, pyramid, cfg, workspace, clock):
         while rows := [row for window in windows for row in window.rows()]:
             _try(batch, rows, pyramid, cfg, workspace, clock)
     return [window.result() for window in windows]
@@ -236,7 +256,6 @@ def _score(
 
 def _score_singles(
     windows: list[_Window],
-    found: list[Found],
     pyramid: Pyramid,
     cfg: ReadConfig,
     workspace: Workspace,
@@ -248,7 +267,7 @@ def _score_singles(
     if not counts.sum():
         return False
     with clock("pose"):
-        peaks = np.concatenate([one.peaks.table[some] for one, some in zip(found, which, strict=True)])
+        peaks = np.concatenate([one.peaks.table[some] for one, some in zip(windows, which, strict=True)])
         of_window = np.repeat(np.arange(len(windows)), counts)
         hypotheses = codes_of_singles(
             peaks,

@@ -8,8 +8,8 @@ on which a module always has the same size.  Coarse steps are enough: `align` re
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
-from dataclasses import dataclass
+from collections.abc import Collection, Sequence
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -100,12 +100,24 @@ class Finder(Step):
         self._degrees: list[int | None] = [None] * count
         layout = self.pyramid.layout
         self._rows, self._sizes = workspace.put(layout.rows), workspace.put(layout.sizes)
-        self._quiet, self._disc = workspace.put(layout.quiet), workspace.put(spans(cfg))
+        self._disc = workspace.put(spans(cfg))
+        # as large a part of each level is busy as of the finest
+        shares = cfg.scale_ratio ** (2.0 * np.arange(len(self.pyramid.levels)))
+        self._quiet = [workspace.put((each.floor * shares).astype(np.float32)) for each in cfg.passes]
         self._extent = workspace.mirror((count, len(self.pyramid.levels), 2), np.int32)
         self._origin = workspace.mirror((count, 2))
         self._tolerances = workspace.put(leg_tolerances(cfg))
         self._peaks = workspace.mirror((count, cfg.peaks, 5))
         self._triples = workspace.mirror((count, cfg.peaks, cfg.triples_a_corner, 4))
+        _, tall, wide = self.pyramid.images.device.shape
+        high, across = tall - 2 * cfg.half, wide - 2 * cfg.half
+        self._response = workspace.empty(count, high, across)
+        self._angle = workspace.empty(count, high, across, dtype=np.int32)
+        sizes = {"B": count, "N": side, "K": len(self.pyramid.levels), "Y": tall, "X": wide}
+        self._correlating = workspace.scratch("correlate_templates", **sizes)
+        self._maxima = workspace.empty(count, high, cfg.peaks_a_row, 5)
+        self._merging = workspace.scratch("merge_maxima", B=count, N=high * cfg.peaks_a_row)
+        self._matching = workspace.scratch("match_corners", B=count, P=cfg.peaks)
 
     def write(
         self,
@@ -117,14 +129,8 @@ class Finder(Step):
         """Say where is searched, and along which motions; there may be fewer windows than there is room."""
         self.pyramid.write(batch, motions, regions, lags_px)
         self._turn_to(motions)
-        self._extent.host[:] = 0
         for k, region in enumerate(regions):
-            sides = [
-                (level.rows, level.columns) for level in levels_of(region.height, region.width, self._cfg)
-            ]
-            self._extent.host[k, : len(sides)] = sides
             self._origin.host[k] = region.x, region.y
-        self._extent.push()
         self._origin.push()
 
     def _turn_to(self, motions: Sequence[Motion]) -> None:
@@ -140,39 +146,40 @@ class Finder(Step):
             self._basis.push()
             self._mix.push()
 
-    def launch(self) -> None:
-        """Launch the kernels one by one."""
-        backend, cfg, workspace, count = self._backend, self._cfg, self._workspace, self._count
-        self.pyramid.launch()
-        whole = self.pyramid.images.device
-        _, tall, wide = whole.shape
-        high, across = tall - 2 * cfg.half, wide - 2 * cfg.half
-        response = workspace.empty(count, high, across)
-        angle = workspace.empty(count, high, across, dtype=np.int32)
-        sizes = {"B": count, "N": 2 * cfg.half + 1, "K": len(self.pyramid.levels), "Y": tall, "X": wide}
-        scratch = workspace.scratch("correlate_templates", **sizes)
-        backend.correlate_templates(
-            whole, self.pyramid.busy, self._basis.device, self._mix.device, self._disc, self._rows,
-            self._extent.device, self._quiet, cfg.min_first, cfg.min_response, *scratch, response, angle,
-        )  # fmt: skip
-        maxima = workspace.empty(count, high, cfg.peaks_a_row, 5)
-        backend.local_maxima(
-            response, angle, self._rows, self._extent.device, self._sizes, self._origin.device, 0.0,
-            math.pi / 2 / ANGLES, maxima,
-        )  # fmt: skip
-        many = maxima.reshape((count, high * cfg.peaks_a_row, 5))
-        scratch = workspace.scratch("merge_maxima", B=count, N=high * cfg.peaks_a_row)
-        backend.merge_maxima(many, 2.0, 1.5 * math.log(cfg.scale_ratio), *scratch, self._peaks.device)
-        scratch = workspace.scratch("match_corners", B=count, P=cfg.peaks)
-        backend.match_corners(self._peaks.device, self._tolerances, *scratch, self._triples.device)
-
-    def read(self) -> list[Found]:
-        """Wait for the device and give what was found in each window."""
+    def find(self, which: int, windows: Collection[int]) -> list[Found]:
+        """Run a pass over some of the windows and give what it found in each; nothing in the others."""
+        cfg, regions = self._cfg, self.pyramid.regions
+        self._extent.host[:] = 0
+        for k in windows:
+            for n, level in enumerate(levels_of(regions[k].height, regions[k].width, cfg)):
+                if level.module_px >= cfg.passes[which].least_module_px:
+                    self._extent.host[k, n] = level.rows, level.columns
+        self._extent.push()
+        self.once(which, lambda: self._backend.record(lambda: self._launch_pass(which)))()
         peaks, triples = self._peaks.read(), self._triples.read()
         return [
             Found(Peaks(peaks[k, : np.count_nonzero(peaks[k, :, 0])].copy()), in_order(triples[k]))
-            for k in range(len(self.pyramid.regions))
+            for k in range(len(regions))
         ]
+
+    def _launch_pass(self, which: int) -> None:
+        """Launch the kernels of a pass one by one; those of the pyramid before the first."""
+        backend, cfg, one = self._backend, self._cfg, self._cfg.passes[which]
+        if which == 0:
+            self.pyramid.launch()
+        backend.correlate_templates(
+            self.pyramid.images.device, self.pyramid.busy, self._basis.device, self._mix.device, self._disc,
+            self._rows, self._extent.device, self._quiet[which], one.min_first, one.min_response,
+            *self._correlating, self._response, self._angle,
+        )  # fmt: skip
+        backend.local_maxima(
+            self._response, self._angle, self._rows, self._extent.device, self._sizes, self._origin.device,
+            0.0, math.pi / 2 / ANGLES, self._maxima,
+        )  # fmt: skip
+        count, high, a_row, _ = self._maxima.shape
+        many = self._maxima.reshape((count, high * a_row, 5))
+        backend.merge_maxima(many, 2.0, 1.5 * math.log(cfg.scale_ratio), *self._merging, self._peaks.device)
+        backend.match_corners(self._peaks.device, self._tolerances, *self._matching, self._triples.device)
 
 
 def in_order(triples: NDArray[np.float32]) -> NDArray[np.float32]:
@@ -183,15 +190,15 @@ def in_order(triples: NDArray[np.float32]) -> NDArray[np.float32]:
     return np.column_stack([found[:, 0], corner, found[:, 1:]]).astype(np.float32)[order]
 
 
-def find_patterns(
+def finding(
     batch: EventBatch,
     motions: Sequence[Motion],
     cfg: FinderConfig,
     *,
     workspace: Workspace,
     lags_px: Sequence[tuple[float, float] | None] | None = None,
-) -> tuple[list[Found], Pyramid]:
-    """Find finder patterns in windows: what the codes that they could belong to are made up from.
+) -> Finder:
+    """Make ready to find finder patterns in windows: what codes that could be there are made up from.
 
     Parameters
     ----------
@@ -208,10 +215,8 @@ def find_patterns(
 
     Returns
     -------
-    found : list of Found
-        One a window.
-    pyramid : Pyramid
-        What was searched; its images last until the next search.
+    finder : Finder
+        Whose passes are to be run in their order, before it is made ready for other windows.
     """
     events, count = workspace.events(batch), count_for(len(batch))
     regions = [busy_region(window, cfg) for window in batch.windows]
@@ -221,5 +226,33 @@ def find_patterns(
         lambda: Finder(events, count, rows, columns, cfg, workspace),
     )
     finder.write(batch, motions, regions, lags_px or [None] * len(batch))
-    finder.run()
-    return finder.read(), finder.pyramid
+    return finder
+
+
+def find_patterns(
+    batch: EventBatch,
+    motions: Sequence[Motion],
+    cfg: FinderConfig,
+    *,
+    workspace: Workspace,
+    lags_px: Sequence[tuple[float, float] | None] | None = None,
+) -> tuple[list[Found], Pyramid]:
+    """Find finder patterns in windows with the last, most thorough pass.
+
+    Parameters
+    ----------
+    batch, motions, cfg, workspace : as of `finding`
+        The same.
+    lags_px : sequence of (float, float) or None [px]
+        As of `finding`.
+
+    Returns
+    -------
+    found : list of Found
+        One a window.
+    pyramid : Pyramid
+        What was searched; its images last until the next search.
+    """
+    alone = replace(cfg, passes=cfg.passes[-1:])
+    finder = finding(batch, motions, alone, workspace=workspace, lags_px=lags_px)
+    return finder.find(0, range(len(batch))), finder.pyramid

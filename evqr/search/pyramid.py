@@ -79,13 +79,10 @@ class Layout:
         Of each row of a response the level, or -1, and which row of the level it is.
     sizes : (K, 2) float32 [px]
         Of each level the size of a cell, and of a module.
-    quiet : (K,) float32
-        Energy under a template, relative to that over cells of rms strength, below which a place is quiet.
     """
 
     rows: NDArray[np.int32]
     sizes: NDArray[np.float32]
-    quiet: NDArray[np.float32]
 
 
 @functools.lru_cache(maxsize=64)
@@ -96,13 +93,8 @@ def layout_of(levels: tuple[Level, ...], cfg: FinderConfig) -> Layout:
     for k, level in enumerate(levels):
         part = rows[level.top - cfg.half :][: level.rows]
         part[:, 0], part[:, 1] = k, np.arange(level.rows)
-    # as large a part of each level is busy as of the finest
-    quiet = [cfg.floor * cfg.scale_ratio ** (2 * k) for k in range(len(levels))]
-    return Layout(
-        closed(rows),
-        closed(np.array([(level.cell, level.module_px) for level in levels], np.float32)),
-        closed(np.array(quiet, np.float32)),
-    )
+    sizes = np.array([(level.cell, level.module_px) for level in levels], np.float32)
+    return Layout(closed(rows), closed(sizes))
 
 
 class Pyramid(Step):
