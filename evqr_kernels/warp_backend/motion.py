@@ -234,9 +234,36 @@ def motion_correlation(
     )
 
 
+TERMS = {wp.float32: 8, wp.float64: 15}
+"""Terms of the series of cosine and sine that count at half a turn."""
+
+
+@cache
+def make_series(dtype: type, first: int) -> wp.Function:
+    """Build the series of the cosine (1), or of the sine over its argument (2), of up to half a turn.
+
+    What a GPU has for any argument takes a stack and twice the registers.
+    """
+    count = TERMS[dtype]
+    factors = [1.0 / ((2 * k + first) * (2 * k + first + 1)) for k in reversed(range(count))]
+    vec_terms = vector(count, dtype)
+    table = vec_terms(*factors)
+
+    @wp.func
+    def series(x: dtype):
+        square = x * x
+        value = dtype(1.0)
+        for k in range(wp.static(count)):
+            value = dtype(1.0) - value * square * wp.static(table)[k]
+        return value
+
+    return series
+
+
 @cache
 def make_surface_peak(dtype: type) -> wp.Kernel:
     """Build the search for the peak; launch: one thread per surface, a few thousand multiply-adds."""
+    cosine_of, sine_over = make_series(dtype, 1), make_series(dtype, 2)
 
     @wp.kernel(module=module_of("motion", dtype))
     def surface_peak(
@@ -260,7 +287,7 @@ def make_surface_peak(dtype: type) -> wp.Kernel:
 
         # three rows behind those of the surface hold the window, and its first and second derivatives
         for k in range(2 * reach + 1):
-            rows_out[b, size, k] = dtype(0.5) + dtype(0.5) * wp.cos(turn * dtype(k - reach))
+            rows_out[b, size, k] = dtype(0.5) + dtype(0.5) * cosine_of(turn * dtype(k - reach))
         for j in range(size):
             for i in range(reach, size - reach):
                 total = dtype(0.0)
@@ -304,9 +331,9 @@ def make_surface_peak(dtype: type) -> wp.Kernel:
             for i in range(left, right):
                 r = dtype(i - column) - x
                 inside = wp.where(wp.abs(r) < half, dtype(0.5), dtype(0.0))
-                cosine = inside * wp.cos(turn * r)
+                cosine = inside * cosine_of(turn * r)
                 rows_out[b, size, i] = inside + cosine
-                rows_out[b, size + 1, i] = inside * turn * wp.sin(turn * r)
+                rows_out[b, size + 1, i] = inside * turn * turn * r * sine_over(turn * r)
                 rows_out[b, size + 2, i] = -turn * turn * cosine
             total = dtype(0.0)
             slope_x = dtype(0.0)
@@ -317,9 +344,9 @@ def make_surface_peak(dtype: type) -> wp.Kernel:
             for j in range(top, bottom):
                 r = dtype(j - row) - y
                 inside = wp.where(wp.abs(r) < half, dtype(0.5), dtype(0.0))
-                cosine = inside * wp.cos(turn * r)
+                cosine = inside * cosine_of(turn * r)
                 weight = inside + cosine
-                first = inside * turn * wp.sin(turn * r)
+                first = inside * turn * turn * r * sine_over(turn * r)
                 second = -turn * turn * cosine
                 blurred = dtype(0.0)
                 along = dtype(0.0)
