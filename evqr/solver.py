@@ -100,7 +100,9 @@ class Solver:
         """
         clock = StageClock()
         with clock("motion"):
-            found = estimate_motion(window, self.config.motion, workspace=self.workspace)
+            # its length was not chosen for its speed: less than a pixel is told by more of the peak
+            cfg = replace(self.config.motion, blur_px=2.0 * self.config.motion.blur_px)
+            found = estimate_motion(window, cfg, workspace=self.workspace)
         return _timed(found, clock)
 
     def window_us(self, motion: Motion) -> int:
