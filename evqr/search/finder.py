@@ -23,7 +23,7 @@ from evqr.search.busy import busy_region
 from evqr.search.pyramid import Pyramid, levels_of
 from evqr.search.templates import ANGLES, TERMS, bank_along, spans
 from evqr.search.triples import leg_tolerances
-from evqr.workspace import EventRoom, Step, Workspace
+from evqr.workspace import EventRoom, Keeper, Workspace
 
 
 @dataclass(frozen=True, eq=False)
@@ -79,7 +79,7 @@ class Found:
     triples: NDArray[np.float32]
 
 
-class Finder(Step):
+class Finder(Keeper):
     """The search in windows whose regions fit into one size."""
 
     def __init__(
@@ -91,8 +91,7 @@ class Finder(Step):
         cfg: FinderConfig,
         workspace: Workspace,
     ) -> None:
-        super().__init__(workspace.backend)
-        self._cfg, self._count, self._workspace = cfg, count, workspace
+        self._backend, self._cfg = workspace.backend, cfg
         self.pyramid = Pyramid(events, count, rows, columns, cfg, workspace)
         side = 2 * cfg.half + 1
         self._basis = workspace.mirror((count, side, side, TERMS))
