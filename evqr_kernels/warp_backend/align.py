@@ -252,7 +252,7 @@ def make_align_poses(dtype: type, columns: int, unrolled: bool) -> wp.Kernel:
 
     @wp.kernel(
         module=module_of(f"align_{columns}{'_unrolled' * unrolled}", dtype),
-        cuda_max_registers=96 if dtype is wp.float32 else 192,
+        cuda_max_registers=112 if dtype is wp.float32 else 192,
     )
     def align_poses(
         pairs: wp.array3d(dtype=vec_pair),
