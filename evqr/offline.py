@@ -159,9 +159,9 @@ class _Codes:
             return str(self._nearest), self._nearest.reason
         best = self._unread[0]
         detail = f"over {best.t_last_us - best.t_first_us} us: {best.failure}"
-        if best.score >= self._good_score:
+        if best.agrees(self._good_score):
             return Reason.NOT_DECODED.explained(detail), Reason.NOT_DECODED
-        return Reason.DISAGREES.explained(f"{best.score:.2f}, followed {detail}"), Reason.DISAGREES
+        return Reason.DISAGREES.explained(f"{best.mean_score:.2f}, followed {detail}"), Reason.DISAGREES
 
     def nearest(self) -> Nearest | None:
         """Tell what came nearest to a code; None where nothing moved."""
@@ -177,7 +177,7 @@ class _Codes:
             candidates=tuple(
                 Candidate(
                     symbol=f"{each.target.space.symbology.value} {each.target.space.version}",
-                    score=each.score,
+                    score=each.mean_score,
                     corners_px=each.target.at(best.time_us).outline(),
                 )
                 for each in self._unread
@@ -186,7 +186,7 @@ class _Codes:
 
 
 def _score(record: CodeUnread) -> float:
-    return record.score
+    return record.mean_score
 
 
 def _records(

@@ -76,6 +76,13 @@ class CodeUnread:
         Why it does not decode.
     target : Target
         What it was taken for, and where, in the last one; does not count in comparisons.
+    mean_score : float
+        Correlation with the known modules, mean over the windows; the first was chosen for it, the others
+        were not.
+    clear_modules : float
+        Share of the other modules that are clearly dark or light in the sum of the windows.
+    events_an_edge : float
+        Events that an edge causes in a pixel that it passes.
     """
 
     t_first_us: int
@@ -84,6 +91,24 @@ class CodeUnread:
     score: float
     failure: DecodeFailure
     target: Target = field(repr=False, compare=False)
+    mean_score: float = 0.0
+    clear_modules: float = 0.0
+    events_an_edge: float = 0.0
+
+    def agrees(self, least: float) -> bool:
+        """Tell whether it was a code, and not something that looked like one for a moment.
+
+        Parameters
+        ----------
+        least : float
+            Correlation that its known modules must reach in the mean, `AlignConfig.good_score`.
+
+        Returns
+        -------
+        agrees : bool
+            Of one window or of many.
+        """
+        return self.mean_score >= least
 
 
 @dataclass(frozen=True)

@@ -162,6 +162,18 @@ class StreamScheduler:
         return self._run(math.inf)
 
     @property
+    def settled_us(self) -> float:
+        """Time up to which all is certain that was asked of the stream: no window begins before it [us]."""
+        if not self._waiting:
+            return math.inf if self.finished else -math.inf
+        return min(waiting.start_us for waiting in self._waiting)
+
+    @property
+    def unread(self) -> list[CodeUnread]:
+        """What is known of the codes that are followed and not read yet."""
+        return [track.unread for track in self._tracks if track.reading is None]
+
+    @property
     def statistics(self) -> Statistics:
         """What has been done so far."""
         events = self._events
@@ -376,11 +388,6 @@ class StreamScheduler:
             if all(other.code != track.code for other in self._tracks):
                 self._records.append(CodeLeft(track.code, track.last_us))
         else:
-            assert track.failure is not None
-            found = track.detection
-            self._unread.add(found.target, found.score)
-            self._records.append(
-                CodeUnread(
-                    track.first_us, track.last_us, track.windows, found.score, track.failure, found.target
-                )
-            )
+            unread = track.unread
+            self._unread.add(unread)
+            self._records.append(unread)

@@ -17,6 +17,7 @@ from evqr.geometry import module_px
 from evqr.motion import Motion
 from evqr.results import CodeReading
 from evqr.solver import Solver
+from evqr.stream.records import CodeUnread
 from evqr.symbol.decode import decode_grid
 from evqr.symbol.decoded import Decoded, DecodeFailure
 
@@ -30,6 +31,9 @@ SAME_CENTRE = 0.25
 SCORES_ALIKE = 0.02
 """A code that was found again is taken though it agrees less well by so much: its pose may be right all the
 same."""
+
+CLEAR = 0.5
+"""A module whose estimate is at least so far from grey is clearly dark or light."""
 
 BETTER = 0.05
 """A code that was found again and agrees better by so much was not right before: its windows do not count."""
@@ -74,6 +78,7 @@ class Track:
         self._solver = solver
         self._cfg = cfg.track
         self._misses = 0
+        self._scores = 0.0
         self._fusion = self._new_fusion()
         self._tries = 1
         self._path = deque([(detection.time_us, detection.centre)], maxlen=cfg.track.baseline)
@@ -94,6 +99,31 @@ class Track:
     def timings_ms(self) -> Mapping[str, float]:
         """What it took so far, by stage [ms]."""
         return self._clock.ms
+
+    @property
+    def unread(self) -> CodeUnread:
+        """What is known of it while it is not read."""
+        assert self.failure is not None
+        found = self.detection
+        travel_px = found.motion.travel_px(self._solver.window_us(found.motion))
+        moved = max(travel_px / module_px(found.pose, found.space.shape), 1e-9)
+        return CodeUnread(
+            self.first_us,
+            self.last_us,
+            self.windows,
+            found.score,
+            self.failure,
+            found.target,
+            mean_score=self._scores / self.windows,
+            clear_modules=self._clear_modules,
+            events_an_edge=float(np.hypot(*found.gain)) / moved,
+        )
+
+    @property
+    def _clear_modules(self) -> float:
+        """Share of the modules that are not known before and are clearly dark or light."""
+        unknown = ~self.detection.space.known
+        return float((np.abs(self._q[unknown]) >= CLEAR).mean()) if unknown.any() else 0.0
 
     @property
     def lost(self) -> bool:
@@ -155,6 +185,8 @@ class Track:
         with self._clock("stage_two"):
             estimate = self._fusion.add(self.detection.equations, self.detection.noise)
         alone = self.windows == 1
+        self._scores = self.detection.score + (0.0 if alone else self._scores)
+        self._q = estimate.q
         thorough = self._tries % self._cfg.full_effort_every == 0
         self._try(estimate, self.windows, full=thorough or (alone and self._agrees_well))
         if alone or self.reading is not None or self.detection.space.single_pattern:

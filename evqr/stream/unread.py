@@ -7,6 +7,7 @@ from collections import deque
 
 from evqr.config import ReadConfig
 from evqr.fit.detection import Target
+from evqr.stream.records import CodeUnread
 
 
 class UnreadCodes:
@@ -36,9 +37,12 @@ class UnreadCodes:
         self._read.append(target)
         self._unread = deque(one for one in self._unread if not at_one_place(one, target))
 
-    def add(self, target: Target, score: float) -> None:
-        """Take what was followed in vain, with its correlation with the known modules."""
-        if score < self._least or any(at_one_place(one, target) for one in (*self._read, *self._unread)):
+    def add(self, unread: CodeUnread) -> None:
+        """Take what was followed in vain."""
+        target = unread.target
+        if not unread.agrees(self._least) or any(
+            at_one_place(one, target) for one in (*self._read, *self._unread)
+        ):
             return
         self._unread.append(target)
         if len(self._unread) > self._most:

@@ -19,6 +19,7 @@ from evqr.solver import Solver
 from evqr.stream.records import CodeAgain, CodeLeft, CodeRead, CodeUnread, Searched
 from evqr.stream.scheduler import StreamScheduler
 from evqr.symbol import qr
+from evqr.symbol.decoded import DecodeFailure
 
 VIEW = {"width": 330, "height": 140, "direction": 0.0}
 
@@ -140,7 +141,7 @@ class FollowedFor:
 
     def __init__(self, detection, window, solver):
         self.detection, self.first_us, self.last_us = detection, window.start_us, window.end_us
-        self.code, self.reading, self.failure, self.windows = None, None, NotFound(Reason.NO_CONTENT), 1
+        self.code = self.reading = None
         self.timings_ms = {}
 
     def next_window(self):
@@ -149,6 +150,12 @@ class FollowedFor:
     def follow(self, window):
         self.last_us = window.end_us
         self.followed.append(window.end_us)
+
+    @property
+    def unread(self):
+        return CodeUnread(
+            self.first_us, self.last_us, 1, 0.9, NotFound(Reason.NO_CONTENT), self.detection.target
+        )
 
     @property
     def lost(self):
@@ -166,6 +173,7 @@ def test_a_search_that_waits_for_a_long_window_holds_up_no_code_that_is_followed
         ended = [r for r in records if isinstance(r, CodeUnread)]
         since = int(chunk.t[-1] - events.t[0])
         assert len(FollowedFor.followed) == min(20, max(0, (since - 100) // 500))
+        assert len(scheduler.unread) == (not ended and since >= 100)
         if ended:
             assert ended[0].t_last_us == events.t[0] + 10_100 <= chunk.t[-1] < events.t[0] + 10_120
             return
@@ -184,6 +192,27 @@ def test_time_that_passes_without_events_lets_a_code_leave(solver):
     (left,) = kinds(scheduler.step(int(events.t[-1]) + 100_000), CodeLeft)
     assert left.code == 0
     assert left.t_last_us <= events.t[-1] + 2_000
+    assert left.t_last_us < scheduler.settled_us < events.t[-1] + 100_000
+
+
+def test_a_code_that_does_not_decode_says_how_well_it_agrees(solver, monkeypatch):
+    """It is known to be a code by its known modules, in the mean over its windows."""
+
+    def fail(q, space, **_):
+        return DecodeFailure(reason=Reason.TOO_MANY_ERRORS, detail="", space=space)
+
+    monkeypatch.setattr("evqr.stream.track.decode_grid", fail)
+    events = scene(travel_px=16.0, version=1).events
+    scheduler = StreamScheduler([solver], events.width, events.height)
+    scheduler.push(events)
+    records = scheduler.step()
+    followed = scheduler.unread
+    records += scheduler.close()
+    assert len(followed) == 1 and followed[0].agrees(solver.config.align.good_score)
+    best = max(kinds(records, CodeUnread), key=lambda record: record.windows)
+    assert best.windows > 2 and best.agrees(solver.config.align.good_score) and not best.agrees(1.0)
+    assert best.clear_modules > 0.9
+    assert 0.5 < best.events_an_edge < 30.0
 
 
 def test_events_after_a_silence_are_read(solver):
