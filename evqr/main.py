@@ -17,6 +17,7 @@ import click
 
 from evqr.cli.options import INTERRUPTED, examples
 from evqr.cli.running import (
+    collect_garbage_rarely,
     end_at_once,
     end_within_a_second_of_ctrl_c,
     leave_ctrl_c_to_the_thread,
@@ -29,6 +30,7 @@ COMPLETE = "_EVQR_COMPLETE"
 
 def main(arguments: Sequence[str] | None = None) -> None:
     """Run the command line and exit with its status."""
+    collect_garbage_rarely()
     end_within_a_second_of_ctrl_c()
     status = run(arguments)
     leave_ctrl_c_to_the_thread()

@@ -179,6 +179,18 @@ main()
     assert (process.returncode, err) == (130, "evqr: interrupted\n")
 
 
+def test_the_program_seldom_looks_for_garbage_and_not_at_its_end():
+    code = """
+import atexit, gc
+from evqr import main
+atexit.register(lambda: print(gc.get_freeze_count() > 10_000))  # what is registered last goes first
+main.run = lambda arguments=None: print(gc.get_threshold()[0] > 10_000) or 0
+main.main()
+"""
+    with python(code) as process:
+        assert process.communicate(timeout=60) == ("True\nTrue\n", "")
+
+
 def test_shells_complete_commands_and_options(capsys, monkeypatch):
     monkeypatch.setenv("_EVQR_COMPLETE", "bash_source")
     status, out, _ = run(capsys)

@@ -34,6 +34,7 @@ class WarpBackend(Launchers):
         cache.start()
         self._cpu = wp.get_device("cpu")
         self._names = tuple(device.alias for device in wp.get_devices())
+        self._modules_of: dict[Any, list[wp.Module]] = {}
 
     def devices(self) -> tuple[str, ...]:
         """Names of the devices that this machine has; "cpu" first."""
@@ -100,11 +101,17 @@ class WarpBackend(Launchers):
         return cache.directory()
 
     def _modules(self, device: str, calls: Calls) -> list[wp.Module]:
-        """List the Warp modules of what calls launch, recorded or not."""
-        kernels = [kernel for op, given in calls for kernel in kernels_of(example(self, device, op, given))]
-        if kernels and device == "cpu":
-            kernels.append(replay.run_sequence)
-        return list(dict.fromkeys(kernel.module for kernel in kernels))
+        """List the Warp modules of what calls launch, recorded or not; every solver asks for the same."""
+        calls = [(op, dict(given)) for op, given in calls]
+        key = device, *((op, *sorted(given.items())) for op, given in calls)
+        if key not in self._modules_of:
+            kernels = [
+                kernel for op, given in calls for kernel in kernels_of(example(self, device, op, given))
+            ]
+            if kernels and device == "cpu":
+                kernels.append(replay.run_sequence)
+            self._modules_of[key] = list(dict.fromkeys(kernel.module for kernel in kernels))
+        return self._modules_of[key]
 
 
 def load() -> WarpBackend:
