@@ -64,6 +64,7 @@ class _Commands(click.Group):
 
     home: ClassVar = {
         "read": "evqr.cli.read",
+        "batch": "evqr.cli.batch",
         "info": "evqr.cli.commands",
         "convert": "evqr.cli.commands",
         "simulate": "evqr.cli.commands",

@@ -3,8 +3,9 @@
 from __future__ import annotations
 
 import logging
-from collections.abc import Iterable, Iterator, Mapping
-from concurrent.futures import Executor
+from collections.abc import Callable, Iterable, Iterator, Mapping
+from concurrent.futures import BrokenExecutor, CancelledError, Executor, Future
+from dataclasses import replace
 from functools import partial
 from os import PathLike, fsdecode
 from typing import TYPE_CHECKING, Any
@@ -80,13 +81,13 @@ def read_many(
         yield from map(read, sources)
         return
     # All are submitted at once: an executor does not say how many workers it has, and none should wait.
-    jobs = [(_name(source), executor.submit(read, source)) for source in sources]
+    jobs = [(_name(source), _submitted(executor, read, source)) for source in sources]
     try:
         for name, job in jobs:
             try:
                 yield job.result()
             except Exception as error:  # the worker was lost, or the source cannot travel to it
-                yield failed(name, error)
+                yield replace(failed(name, error), reason_code=_lost(error))
     finally:
         for _, job in jobs:
             job.cancel()
@@ -122,6 +123,22 @@ def failed(name: str, error: Exception) -> ReadResult:
     reason = str(error) if isinstance(error, EvqrError) else f"{type(error).__name__}: {error}"
     code = error.reason if isinstance(error, EvqrError) else Reason.FAILED
     return ReadResult(ReadStatus.ERROR, " ".join(reason.split()), source=name, reason_code=code)
+
+
+def _submitted(executor: Executor, read: Callable[[Any], ReadResult], source: Any) -> Future[ReadResult]:
+    """Hand a source to an executor; one whose workers have ended by then loses it as the others."""
+    try:
+        return executor.submit(read, source)
+    except BrokenExecutor as error:
+        lost: Future[ReadResult] = Future()
+        lost.set_exception(error)
+        return lost
+
+
+def _lost(error: Exception) -> Reason:
+    """Tell whether it was the worker that ended; each kind of executor has its own error for that."""
+    lost = isinstance(error, (BrokenExecutor, CancelledError)) or type(error).__name__ == "KilledWorker"
+    return Reason.WORKER_LOST if lost else Reason.FAILED
 
 
 def _name(source: Any) -> str:

@@ -22,6 +22,7 @@ class Reason(str, Enum):
     BACKEND_UNAVAILABLE = "backend_unavailable", "the backend or the device is not there"
     BAD_USE = "bad_use", "an option makes no sense"
     FAILED = "failed", "reading ended with an error that is not the recording's"
+    WORKER_LOST = "worker_lost", "the process that read it has ended"
     RECORDING_ENDS = "recording_ends", "the recording ends"
     TOO_FEW_EVENTS = "too_few_events", "too few events"
     NOTHING_MOVES = "nothing_moves", "nothing moves"

@@ -22,6 +22,7 @@ FLOORS = (
     ("stream",),
     ("offline",),
     ("many", "output", "demo"),
+    ("archive",),
     ("cli",),
     ("paper",),
     ("main",),

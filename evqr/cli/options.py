@@ -1,23 +1,19 @@
-"""What commands share: types of options, options, notes, progress, pools of processes."""
+"""What commands share: types of options, options, notes, progress."""
 
 from __future__ import annotations
 
 import functools
-import logging
-import multiprocessing
-import os
 import re
 import shlex
-import signal
 import sys
-import threading
 import traceback
 from collections.abc import Callable, Iterator
-from concurrent.futures import ProcessPoolExecutor
 from contextlib import contextmanager, suppress
 from typing import Any
 
 import click
+
+from evqr.errors import UsageError
 
 OK, NOTHING, BAD, FAILED, INTERRUPTED, PIPE_CLOSED = 0, 1, 2, 3, 130, 141
 """Exit statuses: something read, nothing read, bad input, use or surroundings, a fault of evqr, Ctrl-C, the
@@ -197,6 +193,57 @@ _OPENING = {
 }
 
 
+def config_options(command: Callable[..., Any]) -> Callable[..., Any]:
+    """Add the options that say how to read; the command gets ``config``, a `ReadConfig`."""
+
+    @functools.wraps(command)
+    def with_config(*args: Any, **given: Any) -> Any:
+        from evqr.config import DecodeConfig, ReadConfig
+
+        chosen = {name: given.pop(name) for name in _CONFIG}
+        decode = {"charset": chosen.pop("charset")}
+        try:
+            config = ReadConfig(
+                decode=DecodeConfig(**decode), **{k: v for k, v in chosen.items() if v is not None}
+            )
+        except (TypeError, ValueError) as error:
+            raise UsageError(str(error)) from error
+        return command(*args, config=config, **given)
+
+    for option in reversed(_CONFIG.values()):
+        with_config = option(with_config)
+    return with_config
+
+
+_CONFIG = {
+    "window_us": click.option(
+        "--window-us",
+        type=click.IntRange(min=1),
+        metavar="N",
+        help="Length of a window; default: about 2 px of motion.",
+    ),
+    "max_windows": click.option(
+        "--max-windows", type=click.IntRange(min=1), metavar="N", help="Take at most so many windows."
+    ),
+    "vote": click.option(
+        "--vote",
+        type=click.Choice(["mode", "soft", "information"]),
+        help="How windows are combined; default: information.",
+    ),
+    "lag_us": click.option(
+        "--lag-us",
+        type=LagType(),
+        metavar="ON,OFF",
+        help="Lags of the pixels, in microseconds; default: estimated.",
+    ),
+    "charset": click.option(
+        "--charset",
+        metavar="NAME",
+        help="Character set of codes that do not name theirs, as utf-8 or shift_jis; default: guessed.",
+    ),
+}
+
+
 def backend_options(command: Callable[..., Any]) -> Callable[..., Any]:
     """Add the options that say where to compute."""
     for option in (
@@ -219,40 +266,6 @@ def backend_options(command: Callable[..., Any]) -> Callable[..., Any]:
     ):
         command = option(command)
     return command
-
-
-def _begin_worker(debug: bool = False) -> None:
-    """Let a worker end at once, without a traceback, on Ctrl-C, which reaches it too, and with its parent.
-
-    A worker of a parent that was killed would work on what was handed out, and then wait for ever.
-    With ``debug`` it prints the tracebacks that results have no room for.
-    """
-    if debug:
-        faults = logging.getLogger("evqr.many")
-        faults.addHandler(logging.StreamHandler())
-        faults.setLevel(logging.DEBUG)
-    signal.signal(signal.SIGINT, signal.SIG_DFL)
-    parent = multiprocessing.parent_process()
-    if parent is not None:
-        threading.Thread(target=lambda: (parent.join(), os._exit(1)), daemon=True).start()
-
-
-@contextmanager
-def process_pool(jobs: int) -> Iterator[ProcessPoolExecutor | None]:
-    """Start workers as fresh processes: kernels and their threads do not survive a fork."""
-    if jobs == 1:
-        yield None
-        return
-    pool = ProcessPoolExecutor(
-        jobs,
-        mp_context=multiprocessing.get_context("spawn"),
-        initializer=_begin_worker,
-        initargs=(debugging(),),
-    )
-    try:
-        yield pool
-    finally:
-        pool.shutdown(cancel_futures=True)
 
 
 @contextmanager

@@ -2,16 +2,17 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import click
 
 from evqr.cli import options
-from evqr.cli.options import BAD, FAILED, NOTHING, OK, LagType, backend_options, recording_options
+from evqr.cli.options import BAD, FAILED, NOTHING, OK, backend_options, config_options, recording_options
 from evqr.cli.sink import Form, Sink
 from evqr.cli.sources import Named, recordings_of
+from evqr.cli.workers import workers
 from evqr.errors import EvqrError, UsageError
 from evqr.reason import Reason
 from evqr.results import ReadResult, ReadStatus
@@ -42,30 +43,8 @@ if TYPE_CHECKING:
 )
 @click.option("--quiet", is_flag=True, help="No notes, warnings and progress; errors are told.")
 @recording_options
-@click.option(
-    "--window-us",
-    type=click.IntRange(min=1),
-    metavar="N",
-    help="Length of a window; default: about 2 px of motion.",
-)
-@click.option("--max-windows", type=click.IntRange(min=1), metavar="N", help="Take at most so many windows.")
 @click.option("--each-window", is_flag=True, help="Read windows one by one, each from cold, a line each.")
-@click.option(
-    "--vote",
-    type=click.Choice(["mode", "soft", "information"]),
-    help="How windows are combined; default: information.",
-)
-@click.option(
-    "--lag-us",
-    type=LagType(),
-    metavar="ON,OFF",
-    help="Lags of the pixels, in microseconds; default: estimated.",
-)
-@click.option(
-    "--charset",
-    metavar="NAME",
-    help="Character set of codes that do not name theirs, as utf-8 or shift_jis; default: guessed.",
-)
+@config_options
 @backend_options
 @click.option("--jobs", type=click.IntRange(min=1), default=1, metavar="N", help="Recordings read at a time.")
 @click.option(
@@ -81,12 +60,8 @@ def read(
     output: Path | None,
     quiet: bool,
     opening: RecordingOptions,
-    window_us: int | None,
-    max_windows: int | None,
     each_window: bool,
-    vote: str | None,
-    lag_us: tuple[float, float] | None,
-    charset: str | None,
+    config: ReadConfig,
     backend: str,
     device: str,
     threads: int | None,
@@ -108,7 +83,6 @@ def read(
     if each_window and jobs > 1:
         raise UsageError("--jobs reads whole recordings at a time: leave out --each-window")
     form: Form = "json" if as_json else "text" if as_text else "report"
-    config = _read_config(charset, window_us=window_us, max_windows=max_windows, lag_us=lag_us, vote=vote)
     compute = {"config": config, "backend": backend, "device": device, "threads": threads}
     with recordings_of(sources) as recordings, Sink(form, _other_file(output, recordings)) as sink:
         try:
@@ -118,24 +92,15 @@ def read(
             sink.error(None, error)
             raise
         if each_window:
-            return _exit_status([_each_window(named, sink, {**compute, **opening}) for named in recordings])
+            read_alone = [_each_window(named, sink, {**compute, **opening}) for named in recordings]
+            return exit_status((result.status, result.reason_code) for result in read_alone)
         results = []
         for named, result in _results(recordings, jobs, {**compute, **opening}):
             sink.result(named, result)
             results.append(result)
             if pictures is not None:
                 pictures.draw(named, result, opening)
-    return _exit_status(results)
-
-
-def _read_config(charset: str | None, **given: Any) -> ReadConfig:
-    from evqr.config import DecodeConfig, ReadConfig
-
-    try:
-        given["decode"] = DecodeConfig(charset=charset)
-        return ReadConfig(**{name: value for name, value in given.items() if value is not None})
-    except (TypeError, ValueError) as error:
-        raise UsageError(str(error)) from error
+    return exit_status((result.status, result.reason_code) for result in results)
 
 
 def _other_file(output: Path | None, recordings: Sequence[Named]) -> Path | None:
@@ -168,7 +133,7 @@ def _results(
 
     from evqr.many import read_many
 
-    with options.process_pool(jobs) as pool:
+    with workers(jobs) as pool:
         read = read_many([named.path for named in recordings], executor=pool, **given)
         # disable=None: no bar where stderr is no terminal
         shown = tqdm(recordings, unit=" recording", leave=False, disable=True if options.is_quiet() else None)
@@ -210,10 +175,12 @@ def _each_window(named: Named, sink: Sink, given: dict[str, Any]) -> ReadResult:
     return ReadResult(status, warnings=warnings)
 
 
-def _exit_status(results: Sequence[ReadResult]) -> int:
-    if any(result.reason_code is Reason.FAILED for result in results):
+def exit_status(outcomes: Iterable[tuple[ReadStatus, str | None]]) -> int:
+    """Give the exit status for recordings of which each has a status, and a reason where it has one."""
+    known = set(outcomes)
+    if any(reason == Reason.FAILED for _, reason in known):
         return FAILED
-    statuses = [result.status for result in results]
+    statuses = {status for status, _ in known}
     if ReadStatus.ERROR in statuses:
         return BAD
     return OK if ReadStatus.READ in statuses else NOTHING

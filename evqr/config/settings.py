@@ -101,6 +101,22 @@ class Settings:
         """
         return {field.name: _plain(getattr(self, field.name)) for field in fields(self)}
 
+    def changed(self) -> dict[str, Any]:
+        """Return what is not the default, as JSON has it.
+
+        Returns
+        -------
+        changed : dict
+            Such that ``from_dict`` of it is equal.
+        """
+        mine, default = self.to_dict(), type(self)().to_dict()
+        changed = {name: value for name, value in mine.items() if value != default[name]}
+        for name in changed:
+            value = getattr(self, name)
+            if isinstance(value, Settings):
+                changed[name] = value.changed()
+        return changed
+
     @classmethod
     def from_dict(cls: type[_S], values: Mapping[str, Any]) -> _S:
         """Make settings from what `to_dict` returned, or from a part of it: the rest are defaults.

@@ -3,17 +3,17 @@
 from __future__ import annotations
 
 import sys
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterable
 from concurrent.futures import Executor
-from contextlib import contextmanager
 from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import click
 
-from evqr.cli.options import OK, examples, process_pool
-from evqr.errors import MissingExtra, UsageError
+from evqr.cli.options import OK, examples
+from evqr.cli.workers import workers
+from evqr.errors import UsageError
 from evqr.paper.methods.registry import METHODS
 
 if TYPE_CHECKING:
@@ -68,7 +68,7 @@ def make(folder: Path, jobs: int, windows: int | None, texts: tuple[str, ...], s
     from evqr.paper.dataset.scenes import TEXTS, scenes
 
     specs = list(scenes(most_windows=windows, texts=texts or TEXTS, seed=seed))
-    with process_pool(jobs) as pool, tqdm(total=len(specs), unit=" scene", leave=False, disable=None) as bar:
+    with workers(jobs) as pool, tqdm(total=len(specs), unit=" scene", leave=False, disable=None) as bar:
         make_dataset(folder, specs, executor=pool, progress=lambda _: bar.update())
     size = sum(path.stat().st_size for path in folder.iterdir())
     click.echo(f"{folder}: {len(specs)} scenes, {size / 1e6:.0f} MB")
@@ -158,7 +158,7 @@ def table1(
         if methods is not None
         else [name for name, row in METHODS.items() if not row.by_name]
     )
-    with _executor(jobs, dask) as executor:
+    with workers(jobs, dask) as executor:
         data, entries, about = _recordings(data, out, scenes, quick, executor)
         number = {name: QUICK_TRIALS if quick else None for name in METHODS}
         for method, count in trials:
@@ -239,25 +239,3 @@ def _recordings(
     with tqdm(total=len(specs), unit=" scene", leave=False, disable=None) as bar:
         made = make_dataset(folder, specs, executor=executor, progress=lambda name: bar.update())
     return folder, made, f"{len(made)} scenes of evqr dataset make" + (", shortened" if quick else "")
-
-
-@contextmanager
-def _executor(jobs: int, dask: str | None) -> Iterator[Executor | None]:
-    if dask is None:
-        with process_pool(jobs) as pool:
-            yield pool
-        return
-    from evqr_kernels.extras import install_command
-
-    try:
-        from distributed import Client
-    except ImportError as error:
-        raise MissingExtra(
-            f"computing with Dask needs distributed: {install_command('distributed')}"
-        ) from error
-    try:
-        client = Client(dask, timeout="10s")
-    except (OSError, ValueError) as error:
-        raise UsageError(f"--dask {dask}: no scheduler answers there ({error})") from error
-    with client:
-        yield client.get_executor()

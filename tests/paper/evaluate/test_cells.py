@@ -157,9 +157,9 @@ def test_a_dask_cluster_gives_the_same_table(tiny, tmp_path, results):
 
 WAITING = """
 import os, sys, time
-from evqr.cli.options import process_pool
+from evqr.cli.workers import workers
 if __name__ == "__main__":
-    with process_pool(2) as pool:
+    with workers(2) as pool:
         print(*{job.result() for job in [pool.submit(os.getpid) for _ in range(20)]}, flush=True)
         time.sleep(60)
 """

@@ -1,0 +1,298 @@
+"""Readings of many recordings in one SQLite file: a row a part, or one that says why there is none."""
+
+from __future__ import annotations
+
+import os
+import sqlite3
+from collections.abc import Iterator, Mapping, Sequence
+from contextlib import contextmanager
+from datetime import datetime, timezone
+from importlib.metadata import version
+from os import PathLike
+from pathlib import Path
+from types import TracebackType
+from typing import Any
+
+from evqr.errors import UsageError
+from evqr.output.records import result_records
+from evqr.results import CodeReading, ReadResult, ReadStatus
+from evqr.values import json_line
+
+APPLICATION_ID = 0x65767172
+"""By which a SQLite file says that it is one of ours: "evqr"."""
+
+SCHEMA_VERSION = 1
+
+WAIT_S = 30.0
+"""How long to wait for another process that writes to the same file [s]."""
+
+SCHEMA = """
+CREATE TABLE settings (given TEXT NOT NULL);
+CREATE TABLE recordings (
+    id INTEGER PRIMARY KEY,
+    path TEXT NOT NULL UNIQUE,
+    size INTEGER,
+    modified_ns INTEGER,
+    status TEXT,
+    reason_code TEXT,
+    reason TEXT,
+    events INTEGER,
+    duration_us INTEGER,
+    windows INTEGER,
+    warnings TEXT,
+    compute_ms TEXT,
+    evqr_version TEXT,
+    t_utc TEXT
+);
+CREATE TABLE parts (
+    recording INTEGER NOT NULL REFERENCES recordings (id),
+    part INTEGER NOT NULL,
+    status TEXT NOT NULL,
+    text TEXT,
+    content BLOB,
+    symbology TEXT,
+    version TEXT,
+    t_first_us INTEGER,
+    t_last_us INTEGER,
+    t_read_us INTEGER,
+    windows INTEGER,
+    confidence REAL,
+    errors_corrected INTEGER,
+    reason_code TEXT,
+    reason TEXT,
+    record TEXT NOT NULL,
+    PRIMARY KEY (recording, part)
+);
+"""
+
+PART = """INSERT INTO parts VALUES (
+    :recording, :part, :status, :text, :content, :symbology, :version, :t_first_us, :t_last_us, :t_read_us,
+    :windows, :confidence, :errors_corrected, :reason_code, :reason, :record
+)"""
+
+READING = (
+    "text", "content", "symbology", "version", "t_first_us", "t_last_us", "t_read_us", "windows",
+    "confidence", "errors_corrected",
+)  # fmt: skip
+"""Columns of parts that are empty where nothing was read."""
+
+DONE = """UPDATE recordings SET
+    size = :size, modified_ns = :modified_ns, status = :status, reason_code = :reason_code, reason = :reason,
+    events = :events, duration_us = :duration_us, windows = :windows, warnings = :warnings,
+    compute_ms = :compute_ms, evqr_version = :evqr_version, t_utc = :t_utc
+    WHERE path = :path"""
+
+
+class ReadingsDatabase:
+    """A SQLite file of recordings and the parts in them; a context manager.
+
+    A recording's rows are written together, or not at all, whatever ends the program.  Other programs may
+    read the file meanwhile.
+
+    Parameters
+    ----------
+    path : path
+        The file; made where there is none.
+    settings : mapping
+        How recordings are read, where it is not the default, as JSON has it: those of a file are all read
+        alike.
+
+    Raises
+    ------
+    UsageError
+        The file is none of ours, of a newer evqr, made with other settings, or cannot be written.
+    """
+
+    def __init__(self, path: str | PathLike[str], settings: Mapping[str, Any]) -> None:
+        self.path = Path(path)
+        given = json_line(settings)
+        with self._checked():
+            self._open = sqlite3.connect(self.path, timeout=WAIT_S, isolation_level=None)
+            try:
+                self._begin(given)
+            except BaseException:
+                self._open.close()
+                raise
+
+    def _begin(self, given: str) -> None:
+        """See whether the file is ours, or make it so."""
+        db = self._open
+        db.execute("PRAGMA foreign_keys = ON")
+        with self._together():
+            application, schema = (
+                db.execute(f"PRAGMA {of}").fetchone()[0] for of in ("application_id", "user_version")
+            )
+            if not db.execute("SELECT count(*) FROM sqlite_master").fetchone()[0]:
+                for statement in SCHEMA.split(";"):
+                    db.execute(statement)
+                db.execute("INSERT INTO settings VALUES (?)", (given,))
+                db.execute(f"PRAGMA application_id = {APPLICATION_ID}")
+                db.execute(f"PRAGMA user_version = {SCHEMA_VERSION}")
+            elif application != APPLICATION_ID:
+                raise UsageError(f"{self.path}: is a database, but none of readings; name another file")
+            elif schema != SCHEMA_VERSION:
+                raise UsageError(
+                    f"{self.path}: has schema {schema}, this evqr writes {SCHEMA_VERSION}; name another file"
+                )
+            elif (before := db.execute("SELECT given FROM settings").fetchone()[0]) != given:
+                raise UsageError(
+                    f"{self.path}: was made with settings {before}, not {given};"
+                    " use those, or name another file"
+                )
+        db.execute("PRAGMA journal_mode = WAL")
+
+    def __enter__(self) -> ReadingsDatabase:
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        self._open.close()
+
+    def pending(self, recordings: Sequence[Path]) -> list[Path]:
+        """Take recordings in, and say which are still to be read.
+
+        Parameters
+        ----------
+        recordings : sequence of Path
+            All that the file is to have, in order.
+
+        Returns
+        -------
+        pending : list of Path
+            Those that were not read yet, have changed since, or could not be read then.
+        """
+        with self._checked(), self._together():
+            self._open.executemany(
+                "INSERT OR IGNORE INTO recordings (path) VALUES (?)", [(_key(path),) for path in recordings]
+            )
+            known = {
+                path: (size, modified_ns)
+                for path, size, modified_ns in self._open.execute(
+                    "SELECT path, size, modified_ns FROM recordings WHERE status IN (?, ?)",
+                    (ReadStatus.READ.value, ReadStatus.NO_READ.value),
+                )
+            }
+        return [path for path in recordings if known.get(_key(path), ()) != _stamp(path)]
+
+    def add(self, path: Path, result: ReadResult) -> None:
+        """Write what a recording gave, instead of what it gave before.
+
+        Parameters
+        ----------
+        path : Path
+            One that `pending` gave.
+        result : ReadResult
+            Of it.
+        """
+        size, modified_ns = _stamp(path)
+        seen = result.seen
+        with self._checked(), self._together():
+            (number,) = self._open.execute(
+                "SELECT id FROM recordings WHERE path = ?", (_key(path),)
+            ).fetchone()
+            self._open.execute("DELETE FROM parts WHERE recording = ?", (number,))
+            self._open.executemany(PART, _parts(number, result))
+            self._open.execute(
+                DONE,
+                {
+                    "path": _key(path),
+                    "size": size,
+                    "modified_ns": modified_ns,
+                    "status": result.status.value,
+                    "reason_code": _or_none(result.reason_code),
+                    "reason": result.reason or None,
+                    "events": seen.events,
+                    "duration_us": seen.duration_us,
+                    "windows": seen.windows,
+                    "warnings": "\n".join(result.warnings) or None,
+                    "compute_ms": json_line(result.compute_ms),
+                    "evqr_version": version("evqr"),
+                    "t_utc": datetime.now(timezone.utc).isoformat(timespec="milliseconds"),
+                },
+            )
+
+    def statuses(self, recordings: Sequence[Path]) -> list[tuple[ReadStatus, str | None]]:
+        """Give status and code of the reason of recordings that were read, in their order."""
+        with self._checked():
+            rows = {path: rest for path, *rest in self._open.execute(
+                "SELECT path, status, reason_code FROM recordings WHERE status IS NOT NULL"
+            )}  # fmt: skip
+        found = (rows[_key(path)] for path in recordings if _key(path) in rows)
+        return [(ReadStatus(status), reason_code) for status, reason_code in found]
+
+    @contextmanager
+    def _together(self) -> Iterator[None]:
+        """All of it, or nothing."""
+        self._open.execute("BEGIN IMMEDIATE")
+        try:
+            yield
+        except BaseException:
+            if self._open.in_transaction:  # a full disk has ended it already
+                self._open.execute("ROLLBACK")
+            raise
+        self._open.execute("COMMIT")
+
+    @contextmanager
+    def _checked(self) -> Iterator[None]:
+        """Say in a line what SQLite finds wrong with the file."""
+        try:
+            yield
+        except sqlite3.DatabaseError as error:
+            raise UsageError(
+                f"{self.path}: cannot be used as a database ({error}); name another file"
+            ) from error
+
+
+def _parts(number: int, result: ReadResult) -> Iterator[dict[str, Any]]:
+    """Give the rows of a recording; one that could not be read has none."""
+    if result.status is ReadStatus.ERROR:
+        return
+    for part, (reading, record) in enumerate(
+        zip(result.readings or (None,), result_records(result), strict=True)
+    ):
+        record = {key: value for key, value in record.items() if key != "compute_ms"}
+        yield {
+            "recording": number,
+            "part": part,
+            "status": record["status"],
+            "reason_code": _or_none(result.reason_code),
+            "reason": result.reason or None,
+            "record": json_line(record),
+            **_reading_columns(reading),
+        }
+
+
+def _reading_columns(reading: CodeReading | None) -> dict[str, Any]:
+    if reading is None:
+        return dict.fromkeys(READING)
+    return {
+        "text": reading.text,
+        "content": reading.data,
+        "symbology": reading.symbology,
+        "version": str(reading.version),
+        "t_first_us": int(reading.t_first_us),
+        "t_last_us": int(reading.t_last_us),
+        "t_read_us": int(reading.t_read_us),
+        "windows": int(reading.windows),
+        "confidence": float(reading.confidence),
+        "errors_corrected": int(reading.errors_corrected),
+    }
+
+
+def _key(path: Path) -> str:
+    """Name a recording wherever the command is run from."""
+    return os.path.abspath(path)
+
+
+def _stamp(path: Path) -> tuple[int | None, int | None]:
+    """Give what shows that a file has changed: its size and time; None where it cannot be seen."""
+    try:
+        status = path.stat()
+    except OSError:
+        return None, None
+    return status.st_size, status.st_mtime_ns
+
+
+def _or_none(reason: Any) -> str | None:
+    return None if reason is None else str(reason)
