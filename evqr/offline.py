@@ -5,7 +5,7 @@ from __future__ import annotations
 import itertools
 import time
 from collections import deque
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import Future, ThreadPoolExecutor
 from contextlib import ExitStack
 from dataclasses import dataclass, replace
@@ -13,7 +13,6 @@ from queue import SimpleQueue
 from typing import TYPE_CHECKING, Any
 
 from evqr.clock import ONE_TIME, StageClock
-from evqr.events.batch import EventBatch
 from evqr.events.buffer import EventBuffer
 from evqr.fit.detection import Detection, NotFound
 from evqr.fit.modules import CodeEstimate
@@ -28,8 +27,19 @@ from evqr.solver import Solver
 from evqr.stream.records import CodeLeft, CodeRead, CodeUnread, Searched, StreamRecord
 from evqr.stream.scheduler import StreamScheduler
 from evqr.stream.unread import at_one_place
-from evqr.symbol.decode import decode_grid
 from evqr.symbol.decoded import Decoded, DecodeFailure
+from evqr.work import (
+    Activity,
+    Decode,
+    Estimate,
+    Find,
+    Solve,
+    Working,
+    answer,
+    moving_at,
+    together,
+    with_windows,
+)  # fmt: skip
 
 if TYPE_CHECKING:
     from typing_extensions import Unpack
@@ -45,8 +55,16 @@ PROGRESS_US = 1_000
 MOST_CANDIDATES = 3
 """That are told of where nothing was read."""
 
+SIDE_BY_SIDE = 64
+"""Windows that are read at once on a device.  On a CPU they are read one by one: side by side they take as
+long, and two times the memory (measured with 16)."""
+
 WINDOWS_A_JOB = 4
-"""Windows that a thread reads before it asks for more: each time it may have to wait for the GIL."""
+"""Windows that a thread reads at least before it asks for more: it may have to wait for the GIL then."""
+
+MOST_EVENTS = 1 << 22
+"""Events that are held for windows that are read side by side, of which there are fewer where they lie far
+apart."""
 
 
 def read_codes(
@@ -254,12 +272,13 @@ def read_windows(
         recording, _ = _open(source, opening, stack)
         solvers, pool = _solvers(threads, stack, config=config, backend=backend, device=device)
         feed = _Feed(recording, solvers[0].config)
-        events = feed.events
+        events, most = feed.events, solvers[0].config.max_windows
         if pool is None:
-            for start in _starts(feed, recording, solvers[0]):
-                events.forget(start.us)
-                yield _read_alone(start, events, solvers[0])
-                _tell(progress, start.us, recording)
+            for starts in _batches(_starts(feed, recording, solvers[0]), events, _at_once(solvers[0])):
+                events.forget(starts[0].us)
+                for start, read in zip(starts, _read(starts, events, solvers[0]), strict=True):
+                    yield read
+                    _tell(progress, start.us, recording)
             return
         idle: SimpleQueue[Solver] = SimpleQueue()
         for solver in solvers:
@@ -268,16 +287,16 @@ def read_windows(
         def job(starts: list[_Start]) -> list[WindowReading]:
             solver = idle.get()
             try:
-                return [_read_alone(start, events, solver) for start in starts]
+                return _read(starts, events, solver)
             finally:
                 idle.put(solver)
 
         # a solver of its own, for the motion that windows are as long as: the others are at work meanwhile
         ahead = _starts(feed, recording, Solver(config, backend=backend, device=device))
         running: deque[tuple[int, Future[list[WindowReading]]]] = deque()
-        most = solvers[0].config.max_windows
-        together = WINDOWS_A_JOB if most is None else min(WINDOWS_A_JOB, -(-most // len(solvers)))
-        while starts := list(itertools.islice(ahead, together)):
+        count = max(_at_once(solvers[0]), WINDOWS_A_JOB)
+        count = count if most is None else min(count, -(-most // len(solvers)))
+        for starts in _batches(ahead, events, count):
             running.append((starts[0].us, pool.submit(job, starts)))
             if len(running) > 2 * len(solvers):
                 events.forget(running[0][0])
@@ -372,31 +391,58 @@ def _starts(feed: _Feed, recording: Recording, solver: Solver) -> Iterator[_Star
         start_us += length
 
 
-def _read_alone(start: _Start, events: EventBuffer, solver: Solver) -> WindowReading:
+def _batches(starts: Iterator[_Start], events: EventBuffer, count: int) -> Iterator[list[_Start]]:
+    """Put windows together that are read at once: so many, or fewer where many events lie between them."""
+    batch: list[_Start] = []
+    for start in starts:
+        batch.append(start)
+        if len(batch) == count or events.count_from(batch[0].us) > MOST_EVENTS:
+            yield batch
+            batch = []
+    if batch:
+        yield batch
+
+
+def _at_once(solver: Solver) -> int:
+    """Give how many windows are read side by side."""
+    return 1 if solver.workspace.shared else SIDE_BY_SIDE
+
+
+def _read(starts: Sequence[_Start], events: EventBuffer, solver: Solver) -> list[WindowReading]:
+    """Read windows, each from cold."""
+    found: list[WindowReading] = []
+    count = _at_once(solver)
+    for first in range(0, len(starts), count):
+        readings = [with_windows(_reading(one, solver), events) for one in starts[first : first + count]]
+        found += answer(together(readings), solver)
+    return found
+
+
+def _reading(start: _Start, solver: Solver) -> Activity[WindowReading]:
     """Read one window from cold."""
-    clock = StageClock()
+    clock, cfg = StageClock(), solver.config
     start_us, length = start.us, start.length_us
     moving: MotionEstimate | NotFound | None = None
     if length is None:
-        moving = events.answer(solver.motion_at(start_us))
+        moving = yield from moving_at(start_us, solver)
         clock.add(moving.timings_ms)
-        length = solver.config.motion.probe_us
-        if isinstance(moving, MotionEstimate):
-            length = solver.window_us(moving.motion)
-    window = events.window(start_us, start_us + length)
+        length = (
+            solver.window_us(moving.motion) if isinstance(moving, MotionEstimate) else cfg.motion.probe_us
+        )
+    window = yield start_us, start_us + length
     if not isinstance(moving, MotionEstimate):
-        moving = solver.motion_in(window)
-        clock.add(moving.timings_ms)
+        (estimated,) = yield [Estimate(window)]
+        clock.add(estimated.timings_ms)
+        moving = estimated
     codes: list[WindowCode] = []
     found = moving
     if isinstance(moving, MotionEstimate):
-        (found,) = solver.find(EventBatch.of([window]), [moving.motion])
+        (found,) = yield [Find(window, moving.motion)]
         if isinstance(found, NotFound):
             clock.add(found.timings_ms)
         else:
             clock.add(found[0].timings_ms)
-            most = solver.config.scheduler.codes_a_search
-            codes = [_read_detection(code, solver, clock) for code in found[:most]]
+            codes = yield from _codes(found[: cfg.scheduler.codes_a_search], solver, clock)
     codes.sort(key=lambda code: code.status is not ReadStatus.READ)  # the sort is stable
     if codes:
         status, reason, reason_code = codes[0].status, codes[0].reason, codes[0].reason_code
@@ -417,13 +463,15 @@ def _read_alone(start: _Start, events: EventBuffer, solver: Solver) -> WindowRea
     )
 
 
-def _read_detection(found: Detection, solver: Solver, clock: StageClock) -> WindowCode:
-    """Read a code that was found."""
-    with clock("stage_two"):
-        (estimate,) = solver.solve([found])
-    with clock("decode"):
-        outcome = decode_grid(estimate.q, found.space, config=solver.config.decode, effort="full")
-    return _window_code(found, estimate, outcome)
+def _codes(found: Sequence[Detection], solver: Solver, clock: StageClock) -> Working[list[WindowCode]]:
+    """Read codes that were found in a window."""
+    decode = solver.config.decode
+    estimates = yield [Solve(code, clock) for code in found]
+    outcomes = yield [
+        Decode(estimate.q, code.space, decode, "full", clock)
+        for code, estimate in zip(found, estimates, strict=True)
+    ]
+    return [_window_code(*one) for one in zip(found, estimates, outcomes, strict=True)]
 
 
 def _window_code(found: Detection, estimate: CodeEstimate, outcome: Decoded | DecodeFailure) -> WindowCode:

@@ -25,7 +25,12 @@ from evqr.motion import Motion
 from evqr.reason import Reason
 from evqr.search.codes import find_codes
 from evqr.search.headings import headings
-from evqr.search.motion_estimate import MotionEstimate, QuietSpells, estimate_motion, find_motion
+from evqr.search.motion_estimate import (
+    MotionEstimate,
+    QuietSpells,
+    estimate_motions,
+    find_motion,
+)
 from evqr.values import FrozenDict
 from evqr.workspace import Workspace
 
@@ -83,7 +88,7 @@ class Solver:
         clock = StageClock()
         asking = find_motion(start_us, self.config.motion, workspace=self.workspace, guess=guess, quiet=quiet)
         found = yield from clock.pausing("motion", asking)
-        return _timed(found, clock)
+        return timed(found, clock)
 
     def motion_in(self, window: Window) -> MotionEstimate | NotFound:
         """Estimate the motion from one window's events alone.
@@ -98,12 +103,38 @@ class Solver:
         found : MotionEstimate or NotFound
             At the middle of the window, with its timings.
         """
-        clock = StageClock()
+        return self.motions([window])[0]
+
+    def motions(
+        self, windows: Sequence[Window], *, reduction: int | None = None, thorough: bool = True
+    ) -> list[MotionEstimate | NotFound]:
+        """Estimate the motion of windows, each from its events alone.
+
+        Parameters
+        ----------
+        windows : sequence of Window
+            Of one stream or of many.
+        reduction : int [px]
+            Binning, where the lengths of the windows were chosen to tell the speed; None: they were given.
+        thorough : bool
+            Whether to look for larger displacements even where the halves of a window do not agree clearly.
+
+        Returns
+        -------
+        found : list of MotionEstimate or NotFound
+            At the middle of each window, with its share of the timings.  None depends on the others.
+        """
+        clock, cfg = StageClock(), self.config.motion
         with clock("motion"):
-            # its length was not chosen for its speed: less than a pixel is told by more of the peak
-            cfg = replace(self.config.motion, blur_px=2.0 * self.config.motion.blur_px)
-            found = estimate_motion(window, cfg, workspace=self.workspace)
-        return _timed(found, clock)
+            if reduction is None:
+                # less than a pixel is told by more of the peak
+                cfg = replace(cfg, blur_px=2.0 * cfg.blur_px)
+            found = estimate_motions(
+                windows, cfg, workspace=self.workspace, reduction=reduction or 1, thorough=thorough
+            )
+        shares = StageClock()
+        shares.add({stage: ms / len(windows) for stage, ms in clock.ms.items()})
+        return [timed(one, shares) for one in found]
 
     def window_us(self, motion: Motion) -> int:
         """Give the length of windows for a motion.
@@ -222,7 +253,8 @@ class Solver:
         return solve_modules(equations, self.config.modules, workspace=self.workspace, weights=weights)
 
 
-def _timed(found: MotionEstimate | Reason, clock: StageClock) -> MotionEstimate | NotFound:
+def timed(found: MotionEstimate | Reason, clock: StageClock) -> MotionEstimate | NotFound:
+    """Give what was found with what it took, by stage."""
     if isinstance(found, Reason):
         return NotFound(found, timings_ms=clock.ms)
     return replace(found, timings_ms=clock.ms)

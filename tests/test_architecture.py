@@ -18,7 +18,7 @@ FLOORS = (
     ("fit",),
     ("search", "launched"),
     ("solver",),
-    ("results",),
+    ("work", "results"),
     ("stream",),
     ("offline",),
     ("many", "output", "demo"),

@@ -167,6 +167,44 @@ def test_threads_change_nothing(window_us, most, made):
         assert_same(a, b)
 
 
+def batches_of(events, count, monkeypatch, **options):
+    """Windows read so many at once, and how many were searched in each call of the solver."""
+    searched, find = [], Solver.find
+
+    def counting(self, batch, motions, **more):
+        searched.append(len(batch))
+        return find(self, batch, motions, **more)
+
+    with monkeypatch.context() as patched:
+        patched.setattr("evqr.offline._at_once", lambda solver: count)
+        patched.setattr(Solver, "find", counting)
+        return windows_of(events, **options), searched
+
+
+@pytest.mark.parametrize("threads", [None, 2])
+@pytest.mark.parametrize("window_us", [None, 300])
+def test_windows_side_by_side_are_what_each_is_alone(window_us, threads, made, monkeypatch):
+    """As on a device, in whose batches quiet windows and such with codes are mixed."""
+    events = joined(made.events, noise(20_000, 2_000, width=320, height=240), gap_us=3_000)
+    options = {"max_windows": 11, "window_us": window_us, "threads": threads}
+    alone, (at_once, searched) = windows_of(events, **options), batches_of(events, 5, monkeypatch, **options)
+    assert sum(w.status is ReadStatus.READ for w in alone) >= 4
+    assert max(searched) >= 3 and len(searched) <= 4
+    for a, b in zip(alone, at_once, strict=True):
+        assert_same(a, b, but=("compute_ms", "codes"))
+        for one, other in zip(a.codes, b.codes, strict=True):
+            assert (one.text, one.status, one.reason) == (other.text, other.status, other.reason)
+            np.testing.assert_array_equal(one.motion_px_per_s, other.motion_px_per_s)
+            np.testing.assert_allclose(one.affine, other.affine, atol=1e-3)
+            np.testing.assert_allclose(one.modules, other.modules, atol=1e-3)
+
+
+def test_windows_that_lie_far_apart_are_not_held_together(made, monkeypatch):
+    monkeypatch.setattr("evqr.offline.MOST_EVENTS", len(made.events) // 4)
+    _, searched = batches_of(made.events, 16, monkeypatch, max_windows=12, window_us=300)
+    assert 1 < max(searched) <= 5
+
+
 def test_two_runs_are_the_same_bit_for_bit():
     events = scene(preset="hard", speed_px_ms=8.0, travel_px=20.0).events
     for a, b in zip(windows_of(events, max_windows=4), windows_of(events, max_windows=4), strict=True):

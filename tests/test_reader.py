@@ -300,6 +300,7 @@ def test_what_does_not_move_at_all_gives_nothing(threads, events, monkeypatch):
         yield  # asks for no window
 
     monkeypatch.setattr("evqr.solver.find_motion", still)
+    monkeypatch.setattr("evqr.work.motion_probes", still)
     assert read_codes(events, threads=threads).status is ReadStatus.NO_READ
     windows = list(read_windows(events, config=ReadConfig(max_windows=4), threads=threads))
     assert [window.status for window in windows] == [ReadStatus.NO_CODE] * 4

@@ -203,6 +203,21 @@ class EventBuffer:
         held = self._held
         return held.base + held.place_of(time_us)
 
+    def count_from(self, time_us: float) -> int:
+        """Count the events from a time on that have come.
+
+        Parameters
+        ----------
+        time_us : float [us]
+            The time, which must not be forgotten.
+
+        Returns
+        -------
+        count : int
+            Up to the newest.
+        """
+        return self.pushed - self.count_before(time_us)
+
     def window(self, start_us: int, end_us: int) -> Window:
         """Cut a window.
 

@@ -11,8 +11,9 @@ Windows are worked on together, those of sensors of different sizes in images as
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Generator, Mapping, Sequence
 from dataclasses import dataclass, field
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -301,14 +302,31 @@ class QuietSpells:
         self._began[length_us] = start_us
 
 
-def find_motion(
-    start_us: int, cfg: MotionConfig, *, workspace: Workspace, guess: Motion | None = None,
-    quiet: QuietSpells | None = None,
-) -> Asking[MotionEstimate | Reason]:  # fmt: skip
-    """Estimate the motion at a time from cold: coarsely, then over a window that suits the speed.
+class Probe(NamedTuple):
+    """A window from which a motion is to be estimated, and how.
 
-    Which windows it takes depends on what the ones before say, so it asks for them one by one
-    (`EventBuffer.answer` runs it where all events are there).
+    Attributes
+    ----------
+    start_us, end_us : int [us]
+        Its bounds.
+    reduction : int [px]
+        Binning, as of `estimate_motions`.
+    thorough : bool
+        As of `estimate_motions`.
+    """
+
+    start_us: int
+    end_us: int
+    reduction: int
+    thorough: bool
+
+
+def motion_probes(
+    start_us: int, cfg: MotionConfig, *, guess: Motion | None = None, quiet: QuietSpells | None = None
+) -> Generator[Probe, MotionEstimate | Reason, MotionEstimate | Reason]:
+    """Say from which windows the motion at a time is estimated from cold: coarsely, then as suits the speed.
+
+    Which windows it takes depends on what the ones before say, so it asks for them one by one.
 
     Parameters
     ----------
@@ -316,8 +334,6 @@ def find_motion(
         All windows begin here.
     cfg : MotionConfig
         Settings.
-    workspace : Workspace
-        Buffers.
     guess : Motion
         From an earlier window, for its speed; None: nothing known.
     quiet : QuietSpells
@@ -327,15 +343,17 @@ def find_motion(
     -------
     estimate : MotionEstimate or Reason
         As of `estimate_motion`.
+
+    Yields
+    ------
+    probe : Probe
+        To be answered with what `estimate_motions` gives for it.
     """
     length, quiet = cfg.probe_us, quiet or QuietSpells()
     for _ in range(0 if guess is not None else MOST_PROBES):
         if not quiet.covers(start_us, length):
-            window = yield start_us, start_us + length
             # what is so fast that halves of the shortest window are far apart is no better seen in a longer
-            (coarse,) = estimate_motions(
-                [window], cfg, workspace=workspace, reduction=cfg.reduction, thorough=length == cfg.probe_us
-            )
+            coarse = yield Probe(start_us, start_us + length, cfg.reduction, length == cfg.probe_us)
             if isinstance(coarse, MotionEstimate) and coarse.motion.travel_px(length) >= LEAST_TRAVEL_PX:
                 guess = coarse.motion
                 break
@@ -345,6 +363,37 @@ def find_motion(
         length = min(LONGER * length, cfg.longest_us)
     if guess is None:
         return Reason.NOTHING_MOVES
-    window = yield start_us, start_us + guess.window_us(cfg.travel_px, longest_us=cfg.longest_us)
-    (found,) = estimate_motions([window], cfg, workspace=workspace, thorough=False)
-    return found
+    length = guess.window_us(cfg.travel_px, longest_us=cfg.longest_us)
+    return (yield Probe(start_us, start_us + length, 1, False))
+
+
+def find_motion(
+    start_us: int, cfg: MotionConfig, *, workspace: Workspace, guess: Motion | None = None,
+    quiet: QuietSpells | None = None,
+) -> Asking[MotionEstimate | Reason]:  # fmt: skip
+    """Estimate the motion at a time from cold, of one stream alone.
+
+    Parameters
+    ----------
+    start_us : int [us]
+        As of `motion_probes`.
+    cfg, guess, quiet : as of `motion_probes`
+        The same.
+    workspace : Workspace
+        Buffers.
+
+    Returns
+    -------
+    estimate : MotionEstimate or Reason
+        As of `estimate_motion`; `EventBuffer.answer` runs it where all events are there.
+    """
+    probes, estimate = motion_probes(start_us, cfg, guess=guess, quiet=quiet), None
+    while True:
+        try:
+            probe = probes.send(estimate)  # pyright: ignore[reportArgumentType]
+        except StopIteration as end:
+            return end.value
+        window = yield probe.start_us, probe.end_us
+        (estimate,) = estimate_motions(
+            [window], cfg, workspace=workspace, reduction=probe.reduction, thorough=probe.thorough
+        )

@@ -1,0 +1,312 @@
+"""What readers ask the solver and the decoder for, so that those who read side by side are served together.
+
+Who reads is a generator.  It yields the bounds of a window whose events it needs, or a list of works of one
+kind; it is sent the window, or what the works came to.  `together` makes one of many: it waits until none of
+them can go on without being answered, and hands on what is asked for of the earliest stage, of all of them at
+once, so that those that are ahead wait for those that are behind and later stages have full batches as well.
+Answers do not depend on what they are computed beside, so neither does what anybody reads.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Generator, Iterable, Sequence
+from typing import Any, NamedTuple, TypeAlias, TypeVar
+
+import numpy as np
+from numpy.typing import NDArray
+
+from evqr.clock import StageClock
+from evqr.config import DecodeConfig
+from evqr.events.batch import EventBatch
+from evqr.events.buffer import EventBuffer
+from evqr.events.window import Window
+from evqr.fit.detection import Detection, NotFound
+from evqr.fit.modules import NormalEquations
+from evqr.motion import Motion
+from evqr.search.motion_estimate import MotionEstimate, Probe, QuietSpells, motion_probes
+from evqr.solver import Solver, timed
+from evqr.symbol.decode import decode_grid
+from evqr.symbol.decoded import Effort
+from evqr.symbol.space import CodeSpace
+
+T = TypeVar("T")
+
+
+class Estimate(NamedTuple):
+    """Ask for the motion in a window: MotionEstimate or NotFound, with its timings.
+
+    Attributes
+    ----------
+    window : Window
+        Whose.
+    probe : Probe, optional
+        How; None: from the window alone, whose length was given.
+    """
+
+    window: Window
+    probe: Probe | None = None
+
+
+class Find(NamedTuple):
+    """Ask for all codes of a window: tuple of Detection, or NotFound, with its timings.
+
+    Attributes
+    ----------
+    window : Window
+        Where.
+    motion : Motion
+        Of the codes.
+    tau_us : (float, float), optional [us]
+        As of `Solver.find`.
+    """
+
+    window: Window
+    motion: Motion
+    tau_us: tuple[float, float] | None = None
+
+
+class Follow(NamedTuple):
+    """Ask for a code that an earlier window showed: Detection or NotFound, with its timings.
+
+    Attributes
+    ----------
+    window : Window
+        Where.
+    detection : Detection
+        The code.
+    """
+
+    window: Window
+    detection: Detection
+
+
+class Solve(NamedTuple):
+    """Ask for the modules of a code: CodeEstimate.
+
+    Attributes
+    ----------
+    equations : Detection or NormalEquations
+        As of `Solver.solve`.
+    clock : StageClock
+        To which the time is added, as "stage_two".
+    """
+
+    equations: Detection | NormalEquations
+    clock: StageClock
+
+
+class Decode(NamedTuple):
+    """Ask what a grid says: Decoded or DecodeFailure.
+
+    Attributes
+    ----------
+    q : (V, U) float
+        The grid.
+    space : CodeSpace
+        Kind and size of the symbol.
+    config : DecodeConfig
+        How hard to try, and how sure to be.
+    effort : {"quick", "full"}
+        As of `decode_grid`.
+    clock : StageClock
+        To which the time is added, as "decode".
+    """
+
+    q: NDArray[np.floating]
+    space: CodeSpace
+    config: DecodeConfig
+    effort: Effort
+    clock: StageClock
+
+
+Work: TypeAlias = Estimate | Find | Follow | Solve | Decode
+
+KINDS = (Estimate, Find, Follow, Solve, Decode)
+"""Kinds of work, in the order of the stages."""
+
+Working: TypeAlias = Generator["list[Work]", "list[Any]", T]
+"""Reading whose events are all here: it yields works of one kind and is sent their answers."""
+
+Activity: TypeAlias = "Generator[tuple[int, int] | list[Work], Any, T]"
+"""Reading that also yields the bounds of windows [us], and is sent the windows once their events are here."""
+
+
+def moving_at(
+    start_us: int, solver: Solver, *, guess: Motion | None = None, quiet: QuietSpells | None = None
+) -> Activity[MotionEstimate | NotFound]:
+    """Estimate the motion at a time of a stream.
+
+    Parameters
+    ----------
+    start_us : int [us]
+        Where its windows begin.
+    solver : Solver
+        Whose settings count.
+    guess, quiet : as of `Solver.motion_at`
+        The same.
+
+    Returns
+    -------
+    found : MotionEstimate or NotFound
+        With its timings.
+    """
+    clock, probes = StageClock(), motion_probes(start_us, solver.config.motion, guess=guess, quiet=quiet)
+    answer: Any = None
+    while True:
+        try:
+            probe = probes.send(answer)
+        except StopIteration as end:
+            return timed(end.value, clock)
+        window = yield probe.start_us, probe.end_us
+        (found,) = yield [Estimate(window, probe)]
+        clock.add(found.timings_ms)
+        answer = found if isinstance(found, MotionEstimate) else found.reason
+
+
+def with_windows(activity: Activity[T], events: EventBuffer) -> Working[T]:
+    """Give an activity the windows that it asks for: their events are all here.
+
+    Parameters
+    ----------
+    activity : generator
+        What is read.
+    events : EventBuffer
+        What is read from.
+
+    Returns
+    -------
+    answer : any
+        What the activity returns.
+    """
+    answer: Any = None
+    while True:
+        try:
+            asked = activity.send(answer)
+        except StopIteration as end:
+            return end.value
+        answer = (yield asked) if isinstance(asked, list) else events.window(*asked)
+
+
+def together(workings: Iterable[Working[T]]) -> Working[list[T]]:
+    """Read side by side.
+
+    Parameters
+    ----------
+    workings : iterable of generators
+        Each reads on its own, and none sees what the others do.
+
+    Returns
+    -------
+    answers : list
+        What each returns, in their order.
+    """
+    workings = list(workings)
+    answers: list[Any] = [None] * len(workings)
+    asked: dict[int, list[Work]] = {}
+
+    def go_on(k: int, answer: Any) -> None:
+        try:
+            asked[k] = workings[k].send(answer)
+        except StopIteration as end:
+            answers[k] = end.value
+
+    for k in range(len(workings)):
+        go_on(k, None)
+    while asked:
+        first = min(_kind(works) for works in asked.values())
+        now = [(k, works) for k, works in asked.items() if _kind(works) == first]
+        done = iter((yield [work for _, works in now for work in works]))
+        for k, works in now:
+            del asked[k]
+            go_on(k, [next(done) for _ in works])
+    return answers
+
+
+def _kind(works: list[Work]) -> int:
+    """Give the number of the kind of some works."""
+    return KINDS.index(type(works[0])) if works else 0
+
+
+def answer(working: Working[T], solver: Solver) -> T:
+    """Do the work that somebody asks for who reads.
+
+    Parameters
+    ----------
+    working : generator
+        What is read.
+    solver : Solver
+        Does the work, in this thread.
+
+    Returns
+    -------
+    answer : any
+        What the generator returns.
+    """
+    done: Any = None
+    try:
+        while True:
+            done = do(working.send(done), solver)
+    except StopIteration as end:
+        return end.value
+
+
+def do(works: list[Any], solver: Solver) -> list[Any]:
+    """Do work.
+
+    Parameters
+    ----------
+    works : sequence of Estimate, Find, Follow, Solve or Decode
+        All of one kind.
+    solver : Solver
+        Does it, in this thread.
+
+    Returns
+    -------
+    answers : list
+        One a work, as its kind says.
+    """
+    if not works:
+        return []
+    kind = type(works[0])
+    if kind is Estimate:
+        return _estimated(works, solver)
+    if kind is Find:
+        batch = EventBatch.of([work.window for work in works])
+        taus = [work.tau_us for work in works]
+        return list(solver.find(batch, [work.motion for work in works], tau_us=taus))
+    if kind is Follow:
+        batch = EventBatch.of([work.window for work in works])
+        return list(solver.follow(batch, [work.detection for work in works]))
+    if kind is Solve:
+        clock = StageClock()
+        with clock("stage_two"):
+            solved = solver.solve([work.equations for work in works])
+        _share(clock, works)
+        return list(solved)
+    return [_decoded(work) for work in works]
+
+
+def _estimated(works: Sequence[Estimate], solver: Solver) -> list[MotionEstimate | NotFound]:
+    """Estimate motions, those asked for in one way at once."""
+    found: list[Any] = [None] * len(works)
+    ways: dict[tuple[int | None, bool], list[int]] = {}
+    for k, (_, probe) in enumerate(works):
+        ways.setdefault((None, True) if probe is None else (probe.reduction, probe.thorough), []).append(k)
+    for (reduction, thorough), rows in ways.items():
+        windows = [works[k].window for k in rows]
+        estimates = solver.motions(windows, reduction=reduction, thorough=thorough)
+        for k, estimate in zip(rows, estimates, strict=True):
+            found[k] = estimate
+    return found
+
+
+def _decoded(work: Decode) -> Any:
+    with work.clock("decode"):
+        return decode_grid(work.q, work.space, config=work.config, effort=work.effort)
+
+
+def _share(clock: StageClock, works: Sequence[Solve]) -> None:
+    """Give each of some works its share of a time."""
+    shares = {stage: ms / len(works) for stage, ms in clock.ms.items()}
+    for work in works:
+        work.clock.add(shares)

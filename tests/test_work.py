@@ -1,0 +1,94 @@
+"""Reading side by side: what is asked for of one stage is done at once, the earliest stage first."""
+
+from typing import Any
+
+import numpy as np
+import pytest
+
+from evqr.clock import StageClock
+from evqr.config import DecodeConfig
+from evqr.events.array import EventArray
+from evqr.events.buffer import EventBuffer
+from evqr.work import Decode, Estimate, Find, Follow, Solve, do, together, with_windows
+
+NOBODY: Any = None
+"""Stands in for a solver that is not asked."""
+
+
+def works(kind, *names) -> list[Any]:
+    """Works that are told apart by their first field."""
+    return [kind(name, *[None] * (len(kind._fields) - 1)) for name in names]
+
+
+def asking(*requests):
+    """Asks for works in turn and gives all answers."""
+    answers = []
+    for request in requests:
+        answers.append((yield request))
+    return answers
+
+
+def served(working):
+    """Answer each work with its name in capitals; what was asked for, and what came of it."""
+    asked, done = [], None
+    while True:
+        try:
+            now = working.send(done)
+        except StopIteration as end:
+            return asked, end.value
+        assert len({type(work) for work in now}) <= 1
+        asked.append("".join(work[0] for work in now))
+        done = [work[0].upper() for work in now]
+
+
+def test_those_ahead_wait_for_those_behind():
+    asked, answers = served(
+        together(
+            [
+                asking(works(Find, "a"), works(Solve, "b")),
+                asking(works(Estimate, "c"), works(Estimate, "d"), works(Find, "e"), works(Solve, "f", "g")),
+                asking(works(Follow, "h"), works(Decode, "i")),
+            ]
+        )
+    )
+    assert asked == ["c", "d", "ae", "h", "bfg", "i"]
+    assert answers == [
+        [["A"], ["B"]],
+        [["C"], ["D"], ["E"], ["F", "G"]],
+        [["H"], ["I"]],
+    ]
+
+
+def test_groups_are_put_together_too():
+    def pair(first, second):
+        return together([asking(works(Follow, first)), asking(works(Follow, second))])
+
+    asked, answers = served(together([pair("a", "b"), pair("c", "d")]))
+    assert asked == ["abcd"]
+    assert answers == [[[["A"]], [["B"]]], [[["C"]], [["D"]]]]
+
+
+def test_nobody_and_nothing_to_do_are_no_special_cases():
+    assert served(together([])) == ([], [])
+    assert served(together([asking([]), asking(works(Solve, "a"))]))[1] == [[[]], [["A"]]]
+    assert do([], NOBODY) == []
+
+
+def test_windows_are_given_as_they_are_asked_for():
+    def activity():
+        window = yield 10, 30
+        (answer,) = yield works(Decode, "a")
+        return window.events.t.tolist(), answer
+
+    t = np.arange(0, 60, 5)
+    column = np.zeros(len(t), np.uint16)
+    buffer = EventBuffer.of(EventArray(t, column, column, np.ones(len(t), np.int8), 8, 8))
+    assert served(with_windows(activity(), buffer)) == (["a"], ([10, 15, 20, 25], "A"))
+
+
+def test_a_wrong_grid_is_refused_where_it_is_decoded():
+    from evqr.symbol import qr
+
+    work = Decode(np.zeros((3, 3)), qr.space(1), DecodeConfig(), "full", StageClock())
+    with pytest.raises(ValueError, match="q must have shape"):
+        do([work], NOBODY)
