@@ -12,6 +12,7 @@ from numpy.typing import ArrayLike, DTypeLike, NDArray
 
 from evqr.clock import one_time
 from evqr_kernels import make_scratch
+from evqr_kernels.backend import part_of, words_of
 
 if TYPE_CHECKING:
     from evqr.events.batch import EventBatch
@@ -28,25 +29,43 @@ region has its own."""
 MOST_KEPT_WITH_ONE = 48
 """Things that are kept at once with one of those, as they work on its buffers."""
 
-FEWEST_EVENTS = 1 << 14
-"""Room for events grows from this in powers of two, as all that was recorded is recorded anew for more."""
+FEWEST_EVENTS, MANY_EVENTS = 1 << 14, 1 << 18
+"""Room for events grows from the one in powers of two up to the other, then by an eighth or less, as all that
+was recorded is recorded anew for more."""
+
+LARGEST_GAP = 1 << 17
+"""Events that there may be less than there is room for, for their columns to be copied as one with what is
+between them: as many bytes as go over a slow bus in the time that two more copies take."""
+
+
+ALIGNED = 16
+"""Words of 32 bits that parts of a block begin with a multiple of: a line of the cache."""
 
 
 class Mirror:
-    """A device array and its copy on the host: ``shared`` memory where the device is the CPU."""
+    """A device array and its copy on the host, both parts of the blocks of a `Staging`.
 
-    def __init__(
-        self, backend: KernelBackend, shape: tuple[int, ...], dtype: DTypeLike, device: str, shared: bool
-    ) -> None:
-        self.host: NDArray[Any] = np.zeros(shape, dtype)
-        self.device = backend.from_host(self.host, device)
-        self._backend, self._shared = backend, shared
+    They are the same memory where the device is the CPU.
+    """
+
+    def __init__(self, staging: Staging, shape: tuple[int, ...], dtype: DTypeLike, value: ArrayLike) -> None:
+        self.shape, self.dtype, self.value = shape, dtype, value
+        self._staging = staging
         self._filled = 0
+
+    @cached_property
+    def host(self) -> NDArray[Any]:
+        """What the host writes before its sequence runs, and reads after `read`."""
+        return self._staging.host_part(self)
+
+    @cached_property
+    def device(self) -> Any:
+        """What kernels take."""
+        return self._staging.device_part(self)
 
     def write(self, values: ArrayLike) -> None:
         """Set the array."""
         self.host[...] = values
-        self.push()
 
     def fill(self, values: ArrayLike) -> None:
         """Set the first rows of the array; those behind them are 0."""
@@ -55,18 +74,117 @@ class Mirror:
         if count < self._filled:
             self.host[count : self._filled] = 0
         self._filled = count
-        self.push()
-
-    def push(self) -> None:
-        """Bring to the device what was written to the host's copy."""
-        if not self._shared:
-            self._backend.assign(self.device, self.host)
 
     def read(self) -> NDArray[Any]:
-        """Wait for the device and give the host's copy, which later reads overwrite."""
-        if not self._shared:
-            self.host[...] = self._backend.to_host(self.device)
+        """Wait for the device and give the host's copy, which the next run overwrites."""
+        self._staging.pull()
         return self.host
+
+
+class Staging:
+    """What a sequence of launches takes from the host and gives to it: one copy there, and one back.
+
+    Small arrays, side by side in one block on the host and in one on the device, which are made when one of
+    them is first asked for: inputs first, outputs last, and between them what is both.
+    """
+
+    def __init__(self, workspace: Workspace) -> None:
+        self._workspace = workspace
+        self._inputs: list[Mirror] = []
+        self._both: list[Mirror] = []
+        self._outputs: list[Mirror] = []
+        self._to_read = False
+
+    def input(self, shape: tuple[int, ...], dtype: DTypeLike = np.float32, value: ArrayLike = 0) -> Mirror:
+        """Make an array that the host writes; at first all of it is some value."""
+        return self._add(self._inputs, shape, dtype, value)
+
+    def both(self, shape: tuple[int, ...], dtype: DTypeLike = np.float32, value: ArrayLike = 0) -> Mirror:
+        """Make an array that the host writes, and the device after it."""
+        return self._add(self._both, shape, dtype, value)
+
+    def output(self, shape: tuple[int, ...], dtype: DTypeLike = np.float32) -> Mirror:
+        """Make an array that the host reads."""
+        return self._add(self._outputs, shape, dtype, 0)
+
+    def _add(
+        self, mirrors: list[Mirror], shape: tuple[int, ...], dtype: DTypeLike, value: ArrayLike
+    ) -> Mirror:
+        assert "_blocks" not in vars(self), "arrays are declared before one of them is used"
+        mirrors.append(Mirror(self, shape, dtype, value))
+        return mirrors[-1]
+
+    @cached_property
+    def _places(self) -> tuple[dict[Mirror, int], int, int, int]:
+        """Give the first word of each array, and where what is both begins and ends, and all ends."""
+        places: dict[Mirror, int] = {}
+        ends, end = [], 0
+        for mirrors in (self._inputs, self._both, self._outputs):
+            for mirror in mirrors:
+                places[mirror] = end
+                end += -(-words_of(mirror.shape, mirror.dtype) // ALIGNED) * ALIGNED
+            ends.append(end)
+        return places, *ends
+
+    @cached_property
+    def _blocks(self) -> tuple[NDArray[np.uint32], Any]:
+        places, *_, end = self._places
+        host = np.zeros(end, np.uint32)
+        for mirror, first in places.items():
+            part_of(host, first, mirror.shape, mirror.dtype)[...] = mirror.value
+        return host, self._workspace.put(host)
+
+    def host_part(self, mirror: Mirror) -> NDArray[Any]:
+        """Give an array on the host."""
+        return part_of(self._blocks[0], self._places[0][mirror], mirror.shape, mirror.dtype)
+
+    def device_part(self, mirror: Mirror) -> Any:
+        """Give an array on the device."""
+        block, first = self._blocks[1], self._places[0][mirror]
+        return self._workspace.backend.part(block, first, mirror.shape, mirror.dtype)
+
+    def push(self) -> None:
+        """Bring to the device what was written."""
+        _, _, end, _ = self._places
+        if end and not self._workspace.shared:
+            self._copy(0, end, there=True)
+
+    def push_rows(self, first: Mirror, last: Mirror, count: int) -> None:
+        """Bring there the inputs from one on to another, of which only so many rows."""
+        places, *_ = self._places
+        if not self._workspace.shared:
+            end = places[last] + words_of((count, *last.shape[1:]), last.dtype)
+            self._copy(places[first], end, there=True)
+
+    def pull(self) -> None:
+        """Bring back what the device wrote since the last time."""
+        if self._to_read:
+            _, begin, _, end = self._places
+            self._copy(begin, end, there=False)
+            self._to_read = False
+
+    def _copy(self, first: int, end: int, *, there: bool) -> None:
+        host, device = self._blocks
+        backend = self._workspace.backend
+        part = backend.part(device, first, (end - first,), np.uint32)
+        if there:
+            backend.assign(part, host[first:end])
+        else:
+            host[first:end] = backend.to_host(part)
+
+    def sequence(self, launch: Callable[[], None]) -> Callable[[], None]:
+        """Record what launches kernels on these arrays; it then runs with the inputs as they are."""
+        with one_time():
+            recorded = self._workspace.backend.record(launch)
+        if self._workspace.shared:
+            return recorded
+
+        def run() -> None:
+            self.push()
+            recorded()
+            self._to_read = True
+
+        return run
 
 
 class Keeper:
@@ -108,10 +226,11 @@ class Images(Keeper):
 
 
 class Step(Keeper):
-    """Launches on arrays of its own: alone, or as a part of a larger step."""
+    """Launches on arrays of its own: alone, or as a part of a larger step, whose ``staging`` it is given."""
 
-    def __init__(self, backend: KernelBackend) -> None:
-        self._backend = backend
+    def __init__(self, workspace: Workspace, staging: Staging | None = None) -> None:
+        self._backend = workspace.backend
+        self._staging = staging or Staging(workspace)
 
     def launch(self) -> None:
         """Launch the kernels one by one."""
@@ -120,8 +239,7 @@ class Step(Keeper):
     @cached_property
     def run(self) -> Callable[[], None]:
         """Launches all of it, recorded when it is first asked for."""
-        with one_time():
-            return self._backend.record(self.launch)
+        return self._staging.sequence(self.launch)
 
 
 class EventRoom:
@@ -137,7 +255,8 @@ class EventRoom:
 
     def __init__(self, workspace: Workspace, capacity: int) -> None:
         self.capacity = capacity
-        self._mirrors = [workspace.mirror((capacity,), dtype) for dtype in (np.uint16, np.uint16, np.uint32)]
+        self._staging = Staging(workspace)
+        self._mirrors = [self._staging.input((capacity,), each) for each in (np.uint16, np.uint16, np.uint32)]
         self.x, self.y, self.stamp = (mirror.device for mirror in self._mirrors)
         self._events: PackedEvents | None = None
 
@@ -148,7 +267,10 @@ class EventRoom:
         self._events = events
         for mirror, values in zip(self._mirrors, (events.x, events.y, events.stamp), strict=True):
             mirror.host[: len(events)] = values
-            mirror.push()
+        columns = self._mirrors
+        together = self.capacity - len(events) <= LARGEST_GAP + len(events) // 8
+        for first, last in [(columns[0], columns[-1])] if together else zip(columns, columns, strict=True):
+            self._staging.push_rows(first, last, len(events))
 
 
 class Workspace(Keeper):
@@ -180,10 +302,6 @@ class Workspace(Keeper):
         """Make the partial results that an operation takes, for sizes and settings of its table."""
         return make_scratch(self.backend, self.device, op, floats, **sizes)
 
-    def mirror(self, shape: tuple[int, ...], dtype: DTypeLike = np.float32) -> Mirror:
-        """Make a device array that the host writes or reads, of zeros."""
-        return Mirror(self.backend, shape, dtype, self.device, self.shared)
-
     def table(self, key: tuple[Any, ...], array: NDArray[Any]) -> Any:
         """Give a constant table on the device, copied there when it is first asked for."""
         return self.once(key, lambda: self.put(array))
@@ -193,8 +311,10 @@ class Workspace(Keeper):
 
         They are brought there once for all that `EventBatch.pick` makes of it.
         """
-        if len(batch.events) > self._room.capacity:
-            self._room = EventRoom(self, 1 << (len(batch.events) - 1).bit_length())
+        count = len(batch.events)
+        if count > self._room.capacity:
+            step = 1 << (count - 1).bit_length() - (0 if count <= MANY_EVENTS else 4)
+            self._room = EventRoom(self, -(-count // step) * step)
         self._room.load(batch.events)
         return self._room
 

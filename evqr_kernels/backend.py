@@ -6,6 +6,7 @@
 from __future__ import annotations
 
 import importlib
+import math
 from collections.abc import Callable, Iterable, Mapping
 from typing import Any, Protocol
 
@@ -141,6 +142,27 @@ class KernelBackend(Protocol):
         """
         ...
 
+    def part(self, block: Array, first: int, shape: tuple[int, ...], dtype: DTypeLike) -> Array:
+        """View some words of a block as an array: many small arrays are then copied as one.
+
+        Parameters
+        ----------
+        block : array
+            (N,) uint32, of the backend's kind.
+        first : int
+            The word that it begins with.
+        shape : tuple of int
+            Of the array.
+        dtype : dtype
+            Of the array, as of `empty`.
+
+        Returns
+        -------
+        array : array
+            The same memory, of the backend's kind.
+        """
+        ...
+
     def clear(self, array: Array) -> None:
         """Fill an array with zeros.
 
@@ -253,6 +275,17 @@ class KernelBackend(Protocol):
             If there is no such operation, or the backend does not have the device.
         """
         ...
+
+
+def part_of(block: NDArray[Any], first: int, shape: tuple[int, ...], dtype: DTypeLike) -> NDArray[Any]:
+    """View some words of a block on the host as an array."""
+    words = block[first : first + words_of(shape, dtype)]
+    return words.view(dtype)[: math.prod(shape)].reshape(shape)
+
+
+def words_of(shape: tuple[int, ...], dtype: DTypeLike) -> int:
+    """Give how many words of 32 bits an array takes."""
+    return -(-math.prod(shape) * np.dtype(dtype).itemsize // 4)
 
 
 class Launchers:

@@ -200,6 +200,10 @@ class CountingBackend:
         self._moved(up=values.nbytes)
         self._over.assign(array.array, values)
 
+    def part(self, block: Held, first: int, shape: tuple[int, ...], dtype: DTypeLike) -> Held:
+        """View some words of a block."""
+        return Held(self._over.part(block.array, first, shape, dtype))
+
     def _moved(self, up: int | None = None, down: int | None = None) -> None:
         self.counts.uploads += up is not None
         self.counts.downloads += down is not None

@@ -25,7 +25,7 @@ from evqr.fit.image import count_for
 from evqr.fit.tables import Codes, Level, PoseTables
 from evqr.geometry import compose
 from evqr.symbol.space import CodeSpace
-from evqr.workspace import Images, Step, Workspace
+from evqr.workspace import Images, Staging, Step, Workspace
 
 
 def coarse_levels(cfg: AlignConfig) -> tuple[Level, ...]:
@@ -93,16 +93,16 @@ class Align(Step):
 
     def __init__(
         self, images: Images, count: int, tables: Sequence[PoseTables], max_iterations: int,
-        workspace: Workspace,
+        workspace: Workspace, staging: Staging | None = None,
     ) -> None:  # fmt: skip
-        super().__init__(workspace.backend)
+        super().__init__(workspace, staging)
         self._images, self._max_iterations = images.device, max_iterations
-        self._image_idx = workspace.mirror((count,), np.int32)
-        self._table_idx = workspace.mirror((count,), np.int32)
+        self._image_idx = self._staging.input((count,), np.int32)
+        self._table_idx = self._staging.input((count,), np.int32)
         self._tables = [each.arguments for each in tables]
-        self._results = [workspace.mirror((count, 5)) for _ in tables]
-        self._pose = workspace.mirror((count, 9))
-        self._pose.host[:] = np.eye(3).ravel()  # rows without a hypothesis have a pose, too
+        self._results = [self._staging.output((count, 5)) for _ in tables]
+        # rows without a hypothesis have a pose, too
+        self._pose = self._staging.both((count, 9), value=np.eye(3).ravel())
 
     @property
     def pose(self) -> Any:
@@ -123,7 +123,6 @@ class Align(Step):
         """Say where to start (N, 3, 3), on which images, and for which codes."""
         self._count = len(numbers)
         self._pose.host[: self._count] = pose.reshape(-1, 9)
-        self._pose.push()
         self._image_idx.fill(image_idx)
         self._table_idx.fill(numbers)
 

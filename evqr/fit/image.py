@@ -16,39 +16,52 @@ from numpy.typing import ArrayLike, NDArray
 from evqr.events.batch import EventBatch
 from evqr.fit.region import GRAIN, Region
 from evqr.motion import Motion
-from evqr.workspace import EventRoom, Images, Step, Workspace
+from evqr.workspace import EventRoom, Images, Keeper, Staging, Step, Workspace
 
 COARSE_GRAIN = 4 * GRAIN
 """Arrays that several regions share grow in steps of so many cells."""
 
 
-class Deposit(Step):
-    """Events, transported to the middle of their windows, on cells (N, 2, height, width)."""
+class Cells(Keeper):
+    """Cells (N, 2, height, width) for events of N windows, one grid for ON and one for OFF events each.
 
-    def __init__(self, events: EventRoom, count: int, height: int, width: int, workspace: Workspace) -> None:
-        super().__init__(workspace.backend)
-        self._events = events
-        self._ptr, self._t_ref = workspace.mirror((count, 2), np.int32), workspace.mirror((count,), np.int32)
-        self._motion, self._frame = workspace.mirror((count, 2)), workspace.mirror((count, 3))
-        self._extent = workspace.mirror((count, 2), np.int32)
-        self._frame.host[:] = 1.0  # no cell is without a size, of rows without a window either
-        self.cells = workspace.empty(count, 2, height, width)
-        self._written: tuple[Any, ...] = ()
+    Attributes
+    ----------
+    device : (N, 2, height, width) float32, on the device
+        The cells.
+    """
 
-    @property
-    def extent(self) -> Any:
-        """Rows and columns (N, 2) of each region, on the device."""
-        return self._extent.device
+    def __init__(self, count: int, height: int, width: int, workspace: Workspace) -> None:
+        self.device = workspace.empty(count, 2, height, width)
+        self._held: tuple[Any, ...] = ()
 
-    def write(self, batch: EventBatch, motions: Sequence[Motion], regions: Sequence[Region]) -> bool:
-        """Say which events, how they move and where the cells are, a window a row.
-
-        Tells whether the step is to be run: not where it was the same the last time.
-        """
-        written = (*batch.windows, *motions, *regions)
-        if len(written) == len(self._written) and all(map(_is, written, self._written)):
+    def take(self, batch: EventBatch, motions: Sequence[Motion], regions: Sequence[Region]) -> bool:
+        """Tell whether these events are to be deposited: not where the same were the last time."""
+        held = (*batch.windows, *motions, *regions)
+        if len(held) == len(self._held) and all(map(_is, held, self._held)):
             return False
-        self._written = written
+        self._held = held
+        return True
+
+
+class Deposit(Step):
+    """Events, transported to the middle of their windows, on cells."""
+
+    def __init__(
+        self, events: EventRoom, cells: Cells, workspace: Workspace, staging: Staging | None = None
+    ) -> None:
+        super().__init__(workspace, staging)
+        count = cells.device.shape[0]
+        self._events, self._cells = events, cells.device
+        self._ptr = self._staging.input((count, 2), np.int32)
+        self._t_ref = self._staging.input((count,), np.int32)
+        self._motion = self._staging.input((count, 2))
+        # no cell is without a size, of rows without a window either
+        self._frame = self._staging.input((count, 3), value=1.0)
+        self._extent = self._staging.input((count, 2), np.int32)
+
+    def write(self, batch: EventBatch, motions: Sequence[Motion], regions: Sequence[Region]) -> None:
+        """Say which events, how they move and where the cells are, a window a row."""
         for motion in motions:
             if not motion.uniform:
                 raise NotImplementedError("events are deposited for motions of 2 parameters, got 6")
@@ -58,17 +71,15 @@ class Deposit(Step):
         self._motion.fill(np.array([motion.parameters for motion in motions]) * 1e-6)
         frame = [(region.x + 0.5, region.y + 0.5, region.cell) for region in regions]
         self._frame.host[: len(frame)] = frame
-        self._frame.push()
         self._extent.fill([(region.height, region.width) for region in regions])
-        return True
 
     def launch(self) -> None:
         """Launch the kernels one by one."""
         events = self._events
-        self._backend.clear(self.cells)
+        self._backend.clear(self._cells)
         self._backend.deposit_packed_events(
             events.x, events.y, events.stamp, self._ptr.device, self._t_ref.device, self._motion.device,
-            self._frame.device, self._extent.device, self.cells,
+            self._frame.device, self._extent.device, self._cells,
         )  # fmt: skip
 
 
@@ -79,18 +90,21 @@ def _is(one: object, other: object) -> bool:
 class Sharpen(Step):
     """Blurs deposits and undoes the pixels' lag, for some pairs of lags each: images (N, height, width).
 
-    Image n is of deposit ``n // each``.
+    Image n is of the cells of window ``n // each``.
     """
 
-    def __init__(self, deposit: Deposit, blur_cells: float, workspace: Workspace, each: int = 1) -> None:
-        super().__init__(workspace.backend)
-        windows, _, height, width = deposit.cells.shape
+    def __init__(
+        self, cells: Cells, blur_cells: float, workspace: Workspace, staging: Staging | None = None,
+        each: int = 1,
+    ) -> None:  # fmt: skip
+        super().__init__(workspace, staging)
+        windows, _, height, width = cells.device.shape
         count = windows * each
-        self._deposit, self._each = deposit, each
-        self._direction, self._lag = workspace.mirror((count, 2)), workspace.mirror((count, 2))
+        self._cells, self._each = cells.device, each
+        self._direction, self._lag = self._staging.input((count, 2)), self._staging.input((count, 2))
         self._scratch = workspace.scratch("lag_operator", N=count, Y=height, X=width)
         self._which = workspace.put(np.arange(windows, dtype=np.int32).repeat(each))
-        self._extent = None if each == 1 else workspace.mirror((count, 2), np.int32)
+        self._extent = self._staging.input((count, 2), np.int32)
         self._taps = workspace.put(blur_taps(blur_cells))
         self.images = Images(workspace.empty(count, height, width))
 
@@ -105,15 +119,13 @@ class Sharpen(Step):
         self._direction.fill(_repeated([motion.direction for motion in motions], each))
         cells = _repeated([(region.cell,) for region in regions], each)
         self._lag.fill(np.array(lags_px).reshape(-1, 2) / cells)
-        if self._extent is not None:
-            self._extent.fill(_repeated([(region.height, region.width) for region in regions], each))
+        self._extent.fill(_repeated([(region.height, region.width) for region in regions], each))
 
     def launch(self) -> None:
         """Launch the kernels one by one."""
-        extent = self._deposit.extent if self._extent is None else self._extent.device
         self._backend.lag_operator(
-            self._deposit.cells, self._which, self._direction.device, self._lag.device, self._taps, extent,
-            *self._scratch, self.images.device,
+            self._cells, self._which, self._direction.device, self._lag.device, self._taps,
+            self._extent.device, *self._scratch, self.images.device,
         )  # fmt: skip
 
 
@@ -122,24 +134,14 @@ def _repeated(rows: ArrayLike, each: int) -> NDArray[Any]:
     return values if each == 1 else values.repeat(each, axis=0)
 
 
-def depositing(
-    batch: EventBatch, motions: Sequence[Motion], regions: Sequence[Region], *, workspace: Workspace
-) -> tuple[Deposit, bool]:
-    """Make ready to deposit windows' events on a region each, over the last deposit on as large ones.
-
-    Also tells whether the step is to be run: not where that last deposit was the same.
-    """
-    events = workspace.events(batch)
+def cells_for(regions: Sequence[Region], *, workspace: Workspace) -> Cells:
+    """Give the cells for windows' events on a region each, which the next on as large ones overwrite."""
     count = count_for(len(regions))
     height, width = regions[0].height, regions[0].width
     if count > 1:
         height = -(-max(region.height for region in regions) // COARSE_GRAIN) * COARSE_GRAIN
         width = -(-max(region.width for region in regions) // COARSE_GRAIN) * COARSE_GRAIN
-    step = workspace.once(
-        ("deposit", count, height, width, events.capacity),
-        lambda: Deposit(events, count, height, width, workspace),
-    )
-    return step, step.write(batch, motions, regions)
+    return workspace.once(("cells", count, height, width), lambda: Cells(count, height, width, workspace))
 
 
 def count_for(count: int) -> int:

@@ -18,12 +18,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from evqr.config import ReadConfig
+from evqr.events.batch import EventBatch
 from evqr.fit.align import Align, Alignment, fine_levels
 from evqr.fit.detection import Target
-from evqr.fit.image import Deposit, Sharpen
+from evqr.fit.image import Cells, Deposit, Sharpen, cells_for
 from evqr.fit.region import Region
 from evqr.fit.tables import Codes, PoseTables
-from evqr.workspace import Images, Step, Workspace
+from evqr.workspace import EventRoom, Images, Staging, Step, Workspace
 
 CORNERS = ((0.0, 0.0), (1.0, 0.0), (0.0, 1.0))
 """Lags [px] whose images those for all pairs are mixed from: the image is linear in the lags."""
@@ -33,7 +34,7 @@ LEAST_ON = 0.1
 
 
 def estimate_lags(
-    deposit: Deposit,
+    batch: EventBatch,
     targets: Sequence[Target],
     regions: Sequence[Region],
     pose: NDArray[np.float64],
@@ -45,8 +46,8 @@ def estimate_lags(
 
     Parameters
     ----------
-    deposit : Deposit
-        Of the windows' events on the regions, made already.
+    batch : EventBatch
+        The windows.
     targets : sequence of Target
         The codes, and how they move.
     regions : sequence of Region
@@ -70,8 +71,11 @@ def estimate_lags(
     codes, (level,) = Codes.of(workspace), fine_levels(cfg.align)
     numbers = [codes.number(space) for space in spaces]
     tables = codes.poses(level, cfg.align, numbers)
-    step = deposit.once(
-        ("lag", tables.version, cfg.align, lag), lambda: _Lag(deposit, tables, cfg, workspace)
+    events, cells = workspace.events(batch), cells_for(regions, workspace=workspace)
+    from_events = cells.take(batch, motions, regions)
+    step = cells.once(
+        ("lag", from_events and events.capacity, tables.version, cfg.align, lag),
+        lambda: _Lag(events if from_events else None, cells, tables, cfg, workspace),
     )
     cell = np.array([region.cell for region in regions])
     on = cell[:, None] * cfg.align.cells_a_module * np.array(lag.first_on)
@@ -81,6 +85,8 @@ def estimate_lags(
     start = pose[:, None].repeat(len(lag.first_on), axis=1)
     along = np.array([motion.direction for motion in motions])
     start[:, :, :2] += (behind[:, :, None] * along[:, None])[..., None] * pose[:, None, 2:]
+    if step.deposit is not None:
+        step.deposit.write(batch, motions, regions)
     step.corners.write(motions, regions, [CORNERS] * count)
     step.first.write(first, start, numbers)
     step.run()
@@ -101,18 +107,27 @@ def estimate_lags(
 
 
 class _Lag(Step):
-    """The images for the corners, and the pairs that are tried first; then the pairs around the best."""
+    """The images for the corners, and the pairs that are tried first; then the pairs around the best.
 
-    def __init__(self, deposit: Deposit, tables: PoseTables, cfg: ReadConfig, workspace: Workspace) -> None:
-        super().__init__(workspace.backend)
-        self.corners = Sharpen(deposit, cfg.align.blur_cells, workspace, each=len(CORNERS))
-        self.first, self.second = (
-            _Pairs(self.corners.images, each, tables, cfg, workspace)
-            for each in (len(cfg.lag.first_on), len(cfg.lag.factors) ** 2)
-        )
+    From events, or from the cells there are.
+    """
+
+    def __init__(
+        self, events: EventRoom | None, cells: Cells, tables: PoseTables, cfg: ReadConfig,
+        workspace: Workspace,
+    ) -> None:  # fmt: skip
+        super().__init__(workspace)
+        self.deposit = None if events is None else Deposit(events, cells, workspace, self._staging)
+        blur, corners = cfg.align.blur_cells, len(CORNERS)
+        self.corners = Sharpen(cells, blur, workspace, self._staging, each=corners)
+        images = self.corners.images
+        self.first = _Pairs(images, len(cfg.lag.first_on), tables, cfg, workspace, self._staging)
+        self.second = _Pairs(images, len(cfg.lag.factors) ** 2, tables, cfg, workspace)
 
     def launch(self) -> None:
         """Launch the kernels one by one."""
+        if self.deposit is not None:
+            self.deposit.launch()
         self.corners.launch()
         self.first.launch()
 
@@ -124,16 +139,18 @@ class _Pairs(Step):
     """
 
     def __init__(
-        self, corners: Images, each: int, tables: PoseTables, cfg: ReadConfig, workspace: Workspace
-    ) -> None:
-        super().__init__(workspace.backend)
+        self, corners: Images, each: int, tables: PoseTables, cfg: ReadConfig, workspace: Workspace,
+        staging: Staging | None = None,
+    ) -> None:  # fmt: skip
+        super().__init__(workspace, staging)
         count, height, width = corners.device.shape
         windows = count // len(CORNERS)
         self._corners = corners.device.reshape((windows, len(CORNERS), height, width))
-        self._each, self._weight = each, workspace.mirror((windows * each, len(CORNERS)))
+        self._each, self._weight = each, self._staging.input((windows * each, len(CORNERS)))
         self._window = workspace.put(np.arange(windows, dtype=np.int32).repeat(each))
         self._images = Images(workspace.empty(windows * each, height, width))
-        self.align = Align(self._images, windows * each, [tables], cfg.lag.max_iterations, workspace)
+        most = cfg.lag.max_iterations
+        self.align = Align(self._images, windows * each, [tables], most, workspace, self._staging)
 
     def write(self, pairs: NDArray[np.float64], start: NDArray[np.float64], numbers: Sequence[int]) -> None:
         """Say which lags (N, each, 2) [px], the poses (N, each, 3, 3) to start from, and of which codes."""

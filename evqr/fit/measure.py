@@ -16,11 +16,11 @@ from evqr.config import ReadConfig
 from evqr.events.batch import EventBatch
 from evqr.fit.align import Align, Alignment, fine_levels, judged
 from evqr.fit.detection import NO_TIMINGS, Detection, Target
-from evqr.fit.image import Deposit, Sharpen, depositing
+from evqr.fit.image import Cells, Deposit, Sharpen, cells_for
 from evqr.fit.modules import Equations, NormalEquations
 from evqr.fit.region import Region
 from evqr.fit.tables import Codes, ModuleTables, PoseTables
-from evqr.workspace import Step, Workspace
+from evqr.workspace import EventRoom, Step, Workspace
 
 
 @dataclass(frozen=True, eq=False)
@@ -60,34 +60,40 @@ class Measurements:
 
 
 class Measure(Step):
-    """The sequence for windows on regions of some size; with ``from_events``, or from the cells there are."""
+    """The sequence for windows on regions of some size, from events, or from the cells there are."""
 
     def __init__(
-        self, deposit: Deposit, from_events: bool, poses: PoseTables, modules: ModuleTables,
+        self, events: EventRoom | None, cells: Cells, poses: PoseTables, modules: ModuleTables,
         room: tuple[int, int], cfg: ReadConfig, workspace: Workspace,
     ) -> None:  # fmt: skip
-        super().__init__(workspace.backend)
-        one, count = cfg.align, deposit.cells.shape[0]
+        super().__init__(workspace)
+        one, count, staging = cfg.align, cells.device.shape[0], self._staging
         self._cfg, self._workspace = one, workspace
-        self.sharpen = Sharpen(deposit, one.blur_cells, workspace)
+        self._deposit = None if events is None else Deposit(events, cells, workspace, staging)
+        self.sharpen = Sharpen(cells, one.blur_cells, workspace, staging)
         self.images = self.sharpen.images
-        self.align = Align(self.images, count, [poses], one.max_iterations, workspace)
-        self.equations = Equations(self.images, self.align, modules, room, one.sigma, cfg.modules, workspace)
-        self._steps = [*([deposit] if from_events else []), self.sharpen, self.align, self.equations]
-
-    def write(self, targets: Sequence[Target], regions: Sequence[Region], numbers: Sequence[int]) -> None:
-        """Say what is looked for and where the regions lie."""
-        self.sharpen.write(
-            [target.motion for target in targets], regions, [target.lag_px for target in targets]
+        self.align = Align(self.images, count, [poses], one.max_iterations, workspace, staging)
+        self.equations = Equations(
+            self.images, self.align, modules, room, one.sigma, cfg.modules, workspace, staging
         )
+
+    def write(
+        self, batch: EventBatch, targets: Sequence[Target], regions: Sequence[Region], numbers: Sequence[int]
+    ) -> None:
+        """Say what is looked for and where the regions lie."""
+        motions = [target.motion for target in targets]
+        if self._deposit is not None:
+            self._deposit.write(batch, motions, regions)
+        self.sharpen.write(motions, regions, [target.lag_px for target in targets])
         start = [region.in_cells(target.pose) for target, region in zip(targets, regions, strict=True)]
         self._spaces = [target.space for target in targets]
         self.align.write(np.array(start), np.arange(len(targets), dtype=np.int32), numbers)
 
     def launch(self) -> None:
         """Launch the kernels one by one."""
-        for step in self._steps:
-            step.launch()
+        for step in (self._deposit, self.sharpen, self.align, self.equations):
+            if step is not None:
+                step.launch()
 
     def read(self) -> Measurements:
         """Wait for the device and give what came out."""
@@ -131,18 +137,18 @@ def measuring(
         To be run and read, before it is made ready for other windows.
     """
     spaces = [target.space for target in targets]
-    deposit, from_events = depositing(
-        batch, [target.motion for target in targets], regions, workspace=workspace
-    )
+    events, cells = workspace.events(batch), cells_for(regions, workspace=workspace)
+    from_events = cells.take(batch, [target.motion for target in targets], regions)
     codes, (level,) = Codes.of(workspace), fine_levels(cfg.align)
     numbers = [codes.number(space) for space in spaces]
     poses, modules = codes.poses(level, cfg.align, numbers), codes.modules(cfg.modules, numbers)
     room = codes.room(numbers)
-    step = deposit.once(
-        ("measure", from_events, room, poses.version, modules.version, cfg.align, cfg.modules),
-        lambda: Measure(deposit, from_events, poses, modules, room, cfg, workspace),
+    what = "measure", from_events and events.capacity, room, poses.version, modules.version
+    step = cells.once(
+        (*what, cfg.align, cfg.modules),
+        lambda: Measure(events if from_events else None, cells, poses, modules, room, cfg, workspace),
     )
-    step.write(targets, regions, numbers)
+    step.write(batch, targets, regions, numbers)
     return step
 
 

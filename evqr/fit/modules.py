@@ -27,7 +27,7 @@ from evqr.fit.model import profiles, quiet_modules
 from evqr.fit.tables import REACH, Codes, ModuleTables
 from evqr.symbol.space import CodeSpace
 from evqr.values import Value
-from evqr.workspace import Images, Step, Workspace
+from evqr.workspace import Images, Staging, Step, Workspace
 
 SUPPORT = 5
 """Modules that a module's blurred profile is sampled over."""
@@ -132,9 +132,9 @@ class Equations(Step):
 
     def __init__(
         self, images: Images, poses: Align, tables: ModuleTables, room: tuple[int, int], sigma: float,
-        cfg: ModulesConfig, workspace: Workspace,
+        cfg: ModulesConfig, workspace: Workspace, staging: Staging | None = None,
     ) -> None:  # fmt: skip
-        super().__init__(workspace.backend)
+        super().__init__(workspace, staging)
         count = images.device.shape[0]
         rows, columns = room
         self._image, self._poses, self._tables = images.device, poses, tables
@@ -147,7 +147,7 @@ class Equations(Step):
             "code_rhs", B=count, S=columns * cfg.samples, T=rows * cfg.samples, P=len(b),
             samples_a_module=cfg.samples,
         )  # fmt: skip
-        self._rhs = workspace.mirror((count, rows, columns))
+        self._rhs = self._staging.output((count, rows, columns))
 
     def launch(self) -> None:
         """Launch the kernels one by one."""
@@ -185,16 +185,16 @@ class Solution(Step):
         cfg: ModulesConfig,
         workspace: Workspace,
     ) -> None:
-        super().__init__(workspace.backend)
-        reach = 2 * REACH + 1
+        super().__init__(workspace)
+        reach, staging = 2 * REACH + 1, self._staging
         self._cfg, self._tables = cfg, tables
         self._numbers: list[int] = [0] * count
-        self._number = workspace.mirror((count,), np.int32)
-        self._seen, self._q = (workspace.mirror((count, *room)) for _ in range(2))
-        self._stencil, self._damping = workspace.mirror((count, reach, reach)), workspace.mirror((count,))
+        self._number = staging.input((count,), np.int32)
+        self._seen, self._q = staging.input((count, *room)), staging.both((count, *room))
+        self._stencil, self._damping = staging.input((count, reach, reach)), staging.input((count,))
         self._scratch = workspace.scratch("solve_code", B=count, V=room[0], U=room[1])
         self._rhs = workspace.empty(count, *room)
-        self._iterations = [workspace.mirror((count,), np.int32) for _ in range(cfg.passes)]
+        self._iterations = [staging.output((count,), np.int32) for _ in range(cfg.passes)]
         self._unclear = workspace.empty(count, room[0], dtype=np.int32)
 
     def write(
@@ -215,8 +215,6 @@ class Solution(Step):
             np.multiply(each.stencil, 1.0 / peak, out=stencil[k], casting="unsafe")
             damping[k] = min(max(self._cfg.damping / (weight * peak), least), most)
             q[k, :rows, :columns] = self._tables.start[numbers[k]]
-        for mirror in (self._seen, self._q, self._stencil, self._damping):
-            mirror.push()
         self._numbers = numbers
         self._number.write(numbers)
 

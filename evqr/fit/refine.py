@@ -14,7 +14,6 @@ from evqr.config import AlignConfig, ReadConfig
 from evqr.events.batch import EventBatch
 from evqr.fit.align import escape_side_minimum
 from evqr.fit.detection import NO_LAG, Detection, Target
-from evqr.fit.image import depositing
 from evqr.fit.lag import estimate_lags
 from evqr.fit.measure import measure, measuring
 from evqr.fit.region import Region, region_around
@@ -215,11 +214,8 @@ def _with_lags(
 ) -> list[Target]:
     """Estimate the time constants of the pixels for candidates, and their poses with the lags undone."""
     targets, regions = [each.target for each in found], [each.region for each in found]
-    deposit, fresh = depositing(batch, [target.motion for target in targets], regions, workspace=workspace)
-    if fresh:
-        deposit.run()
     pose = np.array([each.region.in_cells(each.detection.pose) for each in found])
-    lags_px, aligned = estimate_lags(deposit, targets, regions, pose, cfg, workspace=workspace)
+    lags_px, aligned = estimate_lags(batch, targets, regions, pose, cfg, workspace=workspace)
     return [
         replace(
             each.target,

@@ -19,7 +19,7 @@ from numpy.typing import NDArray
 from evqr.config import AlignConfig, ModulesConfig
 from evqr.fit.model import MOMENTS, lattices, pose_table, quiet_modules
 from evqr.symbol.space import CodeSpace
-from evqr.workspace import Mirror, Workspace
+from evqr.workspace import Mirror, Staging, Workspace
 
 REACH = 2
 """Modules on either side that a module meets in the normal matrix."""
@@ -139,8 +139,7 @@ class Tables:
         for number in sorted(set(numbers) - self._held):
             self._add(number, codes.space(number))
             self._held.add(number)
-        for mirror in self._mirrors.values():
-            mirror.push()
+        self._staging.push()
 
     def __getitem__(self, name: str) -> Any:
         return self._mirrors[name].device
@@ -152,7 +151,8 @@ class Tables:
         raise NotImplementedError
 
     def _made(self) -> dict[str, Mirror]:
-        return {name: self._workspace.mirror(shape, dtype) for name, (shape, dtype) in self._shapes().items()}
+        self._staging = Staging(self._workspace)
+        return {name: self._staging.input(shape, dtype) for name, (shape, dtype) in self._shapes().items()}
 
     def _grow(self, **needed: int) -> None:
         """Make room for so much; what was there stays."""

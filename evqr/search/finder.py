@@ -23,7 +23,7 @@ from evqr.search.busy import busy_region
 from evqr.search.pyramid import Pyramid, levels_of
 from evqr.search.templates import ANGLES, TERMS, bank_along, spans
 from evqr.search.triples import leg_tolerances
-from evqr.workspace import EventRoom, Keeper, Workspace
+from evqr.workspace import EventRoom, Keeper, Staging, Workspace
 
 
 @dataclass(frozen=True, eq=False)
@@ -92,10 +92,11 @@ class Finder(Keeper):
         workspace: Workspace,
     ) -> None:
         self._backend, self._cfg = workspace.backend, cfg
-        self.pyramid = Pyramid(events, count, rows, columns, cfg, workspace)
+        self._staging = staging = Staging(workspace)
+        self.pyramid = Pyramid(events, count, rows, columns, cfg, workspace, staging)
         side = 2 * cfg.half + 1
-        self._basis = workspace.mirror((count, side, side, TERMS))
-        self._mix = workspace.mirror((count, ANGLES, TERMS))
+        self._basis = staging.input((count, side, side, TERMS))
+        self._mix = staging.input((count, ANGLES, TERMS))
         self._degrees: list[int | None] = [None] * count
         layout = self.pyramid.layout
         self._rows, self._sizes = workspace.put(layout.rows), workspace.put(layout.sizes)
@@ -103,11 +104,11 @@ class Finder(Keeper):
         # as large a part of each level is busy as of the finest
         shares = cfg.scale_ratio ** (2.0 * np.arange(len(self.pyramid.levels)))
         self._quiet = [workspace.put((each.floor * shares).astype(np.float32)) for each in cfg.passes]
-        self._extent = workspace.mirror((count, len(self.pyramid.levels), 2), np.int32)
-        self._origin = workspace.mirror((count, 2))
+        self._extent = staging.input((count, len(self.pyramid.levels), 2), np.int32)
+        self._origin = staging.input((count, 2))
         self._tolerances = workspace.put(leg_tolerances(cfg))
-        self._peaks = workspace.mirror((count, cfg.peaks, 5))
-        self._triples = workspace.mirror((count, cfg.peaks, cfg.triples_a_corner, 4))
+        self._peaks = staging.output((count, cfg.peaks, 5))
+        self._triples = staging.output((count, cfg.peaks, cfg.triples_a_corner, 4))
         _, tall, wide = self.pyramid.images.device.shape
         high, across = tall - 2 * cfg.half, wide - 2 * cfg.half
         self._response = workspace.empty(count, high, across)
@@ -130,20 +131,15 @@ class Finder(Keeper):
         self._turn_to(motions)
         for k, region in enumerate(regions):
             self._origin.host[k] = region.x, region.y
-        self._origin.push()
 
     def _turn_to(self, motions: Sequence[Motion]) -> None:
         """Set the templates for the directions of motion."""
-        changed = False
         for k, motion in enumerate(motions):
             v_x, v_y = motion.velocity.tolist()
             degrees = round(math.degrees(math.atan2(v_y, v_x)))  # as good as it is known
             if degrees != self._degrees[k]:
                 self._basis.host[k], self._mix.host[k] = bank_along(degrees, self._cfg)
-                self._degrees[k], changed = degrees, True
-        if changed:
-            self._basis.push()
-            self._mix.push()
+                self._degrees[k] = degrees
 
     def find(self, which: int, windows: Collection[int]) -> list[Found]:
         """Run a pass over some of the windows and give what it found in each; nothing in the others."""
@@ -153,8 +149,7 @@ class Finder(Keeper):
             for n, level in enumerate(levels_of(regions[k].height, regions[k].width, cfg)):
                 if level.module_px >= cfg.passes[which].least_module_px:
                     self._extent.host[k, n] = level.rows, level.columns
-        self._extent.push()
-        self.once(which, lambda: self._backend.record(lambda: self._launch_pass(which)))()
+        self.once(which, lambda: self._staging.sequence(lambda: self._launch_pass(which)))()
         peaks, triples = self._peaks.read(), self._triples.read()
         return [
             Found(Peaks(peaks[k, : np.count_nonzero(peaks[k, :, 0])].copy()), in_order(triples[k]))

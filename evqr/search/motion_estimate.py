@@ -24,7 +24,7 @@ from evqr.events.window import Window
 from evqr.motion import Motion
 from evqr.reason import Reason
 from evqr.values import Value
-from evqr.workspace import Workspace
+from evqr.workspace import Staging, Workspace
 from evqr_kernels.operations.images import taps_beside
 
 MOST_PROBES, LONGER = 4, 4
@@ -85,11 +85,11 @@ class _Correlator:
         self, count: int, room: int, height: int, width: int, reduction: int, radius: int, half: float,
         cfg: MotionConfig, workspace: Workspace,
     ) -> None:  # fmt: skip
-        backend, shifts = workspace.backend, 2 * radius + 1
-        self._x, self._y = (workspace.mirror((room,), np.uint16) for _ in range(2))
-        self._stamp = workspace.mirror((room,), np.uint32)
-        self._ptr, self._quiet = workspace.mirror((2 * count, 2), np.int32), workspace.mirror((count, 2))
-        self._peak, self._energy = workspace.mirror((count, 3)), workspace.mirror((count, 2))
+        backend, shifts, staging = workspace.backend, 2 * radius + 1, Staging(workspace)
+        self._x, self._y = (staging.input((room,), np.uint16) for _ in range(2))
+        self._stamp = staging.input((room,), np.uint32)
+        self._ptr, self._quiet = staging.input((2 * count, 2), np.int32), staging.input((count, 2))
+        self._peak, self._energy = staging.output((count, 3)), staging.output((count, 2))
         halves = workspace.empty(2 * count, height, width)
         pairs = halves.reshape((count, 2, height, width))
         scratch = workspace.scratch("motion_correlation", B=count, Y=height, X=width, radius=radius)
@@ -105,7 +105,7 @@ class _Correlator:
             )
             backend.surface_peak(surface, half, *blurred, self._peak.device)
 
-        self._run, self._reduction = backend.record(launch), reduction
+        self._run, self._reduction = staging.sequence(launch), reduction
 
     def __call__(self, samples: Sequence[_Sample]) -> list[tuple[NDArray[np.float64], float]]:
         """Give each window's shift (x, y) of highest correlation [binned px], and that correlation."""
@@ -122,8 +122,6 @@ class _Correlator:
                 n_on = int(np.count_nonzero(on))
                 self._quiet.host[k] = _noise_squares(sample.count, n_on, sample.window, self._reduction)
             first = last
-        for mirror in (self._x, self._y, self._stamp, self._ptr, self._quiet):
-            mirror.push()
         self._run()
         peaks, energies = self._peak.read().tolist(), self._energy.read().tolist()
         return [

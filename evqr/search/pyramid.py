@@ -16,11 +16,11 @@ from numpy.typing import NDArray
 
 from evqr.config import FinderConfig
 from evqr.events.batch import EventBatch
-from evqr.fit.image import Deposit, Sharpen
+from evqr.fit.image import Cells, Deposit, Sharpen
 from evqr.fit.region import Region
 from evqr.motion import Motion
 from evqr.symbol.space import closed
-from evqr.workspace import EventRoom, Images, Step, Workspace
+from evqr.workspace import EventRoom, Images, Staging, Step, Workspace
 
 BLUR_CELLS = 0.55
 """Blur of the finest image beyond that of the deposit [cells]."""
@@ -120,8 +120,9 @@ class Pyramid(Step):
         columns: int,
         cfg: FinderConfig,
         workspace: Workspace,
+        staging: Staging,
     ) -> None:
-        super().__init__(workspace.backend)
+        super().__init__(workspace, staging)
         self._cfg, self._count, self._workspace = cfg, count, workspace
         self.levels = levels_of(rows, columns, cfg)
         self.layout = layout_of(self.levels, cfg)
@@ -131,8 +132,9 @@ class Pyramid(Step):
         workspace.backend.clear(self._whole)
         self.images = Images(self._whole)
         self.busy = workspace.empty(count)
-        self._deposit = Deposit(events, count, rows, columns, workspace)
-        self._sharpen = Sharpen(self._deposit, BLUR_CELLS, workspace)
+        cells = Cells(count, rows, columns, workspace)
+        self._deposit = Deposit(events, cells, workspace, staging)
+        self._sharpen = Sharpen(cells, BLUR_CELLS, workspace, staging)
 
     def write(
         self,

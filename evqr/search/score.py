@@ -19,10 +19,11 @@ class Score(Step):
     """Scores so many poses, on some images."""
 
     def __init__(self, images: Images, room: int, cfg: AlignConfig, workspace: Workspace) -> None:
-        super().__init__(workspace.backend)
+        super().__init__(workspace)
+        staging = self._staging
         self._images, self._ridge = images.device, cfg.ridge
-        self._window, self._size = (workspace.mirror((room,), np.int32) for _ in range(2))
-        self._pose, self._score = workspace.mirror((room, 9)), workspace.mirror((room, 3))
+        self._window, self._size = (staging.input((room,), np.int32) for _ in range(2))
+        self._pose, self._score = staging.input((room, 9)), staging.output((room, 3))
         known = models()
         self._nothing = len(known.ptr) - 1
         self._ptr = workspace.table(("model ptr",), known.ptr)
@@ -34,8 +35,6 @@ class Score(Step):
         self._window.host[:count], self._window.host[count:] = window, 0
         self._size.host[:count], self._size.host[count:] = size, self._nothing
         self._pose.host[:count] = pose.reshape(-1, 9)
-        for mirror in (self._window, self._size, self._pose):
-            mirror.push()
 
     def launch(self) -> None:
         """Launch the kernel."""

@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import DTypeLike, NDArray
 
-from evqr_kernels.backend import Calls, Launchers, refusal
+from evqr_kernels.backend import Calls, Launchers, part_of, refusal
 from evqr_kernels.checks import check_contiguous
 from evqr_kernels.operations import OPERATIONS
 
@@ -44,6 +44,10 @@ class NumpyBackend(Launchers):
     def assign(self, array: NDArray[Any], values: NDArray[Any]) -> None:
         """Copy an array into another."""
         array[...] = values
+
+    def part(self, block: NDArray[Any], first: int, shape: tuple[int, ...], dtype: DTypeLike) -> NDArray[Any]:
+        """View some words of a block as an array."""
+        return part_of(block, first, shape, dtype)
 
     def clear(self, array: NDArray[Any]) -> None:
         """Fill an array with zeros."""

@@ -11,11 +11,11 @@ from typing import Any
 import numpy as np
 from numpy.typing import DTypeLike, NDArray
 
-from evqr_kernels.backend import Calls, Launchers, refusal
+from evqr_kernels.backend import Calls, Launchers, part_of, refusal
 from evqr_kernels.call import example
 from evqr_kernels.checks import check_contiguous
 from evqr_kernels.taichi_backend import runtime
-from evqr_kernels.taichi_backend.arrays import DeviceArray, write
+from evqr_kernels.taichi_backend.arrays import DeviceArray, View, write
 from evqr_kernels.taichi_backend.language import DTYPES, ti, variant
 from evqr_kernels.taichi_backend.launches import LOCK, clear, compile_kernel, kernels_of, record
 
@@ -65,6 +65,12 @@ class TaichiBackend(Launchers):
         """Copy a NumPy array of the same shape and dtype into an array."""
         with LOCK:
             write(array, values)
+
+    def part(self, block: Any, first: int, shape: tuple[int, ...], dtype: DTypeLike) -> Any:
+        """View some words of a block as an array; on a GPU it goes through the host in each launch."""
+        if isinstance(block, np.ndarray):
+            return part_of(block, first, shape, dtype)
+        return View(block, lambda words: part_of(words, first, shape, dtype))
 
     def clear(self, array: Any) -> None:
         """Fill an array with zeros."""

@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from evqr_kernels.taichi_backend.language import ti
+from evqr_kernels.taichi_backend.language import DTYPES, ti
 
 
 class DeviceArray(ti.lang._ndarray.ScalarNdarray):
@@ -26,11 +26,21 @@ class DeviceArray(ti.lang._ndarray.ScalarNdarray):
 
 
 class View:
-    """What a function of NumPy arrays makes of an array on a GPU: a view, for the host."""
+    """What a function of NumPy arrays makes of an array on a GPU, or of a view: a view, for the host."""
 
-    def __init__(self, whole: DeviceArray, look: Callable[[NDArray[Any]], NDArray[Any]]) -> None:
-        self.whole, self.look, self.dtype = whole, look, whole.dtype
-        self.shape = look(np.empty(whole.shape, bool)).shape
+    def __init__(self, whole: "DeviceArray | View", look: Callable[[NDArray[Any]], NDArray[Any]]) -> None:
+        self.whole, self.look = whole, look
+        kinds = (ours for ours, theirs in DTYPES.items() if whole.dtype in (ours, theirs))
+        looked_at = look(np.empty(whole.shape, next(kinds)))
+        self.shape, self.dtype = looked_at.shape, looked_at.dtype
+
+    def __getitem__(self, key) -> "View":
+        """View what slices cut out of it."""
+        return View(self, lambda array: array[key])
+
+    def reshape(self, shape: tuple[int, ...]) -> "View":
+        """View it in another shape."""
+        return View(self, lambda array: array.reshape(shape))
 
     def to_numpy(self) -> NDArray[Any]:
         """Bring it to the host."""

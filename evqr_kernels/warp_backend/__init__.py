@@ -65,6 +65,13 @@ class WarpBackend(Launchers):
         """Copy a NumPy array of the same shape and dtype into an array."""
         array.assign(values)
 
+    def part(self, block: wp.array, first: int, shape: tuple[int, ...], dtype: DTypeLike) -> wp.array:
+        """View some words of a block as an array."""
+        kind = _DTYPES[np.dtype(dtype)]
+        part = wp.array(ptr=block.ptr + 4 * first, dtype=kind, shape=shape, device=block.device)
+        part._ref = block  # keeps the memory for as long as the view lives
+        return part
+
     def clear(self, array: wp.array) -> None:
         """Fill an array with zeros."""
         clear(array)

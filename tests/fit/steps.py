@@ -6,22 +6,29 @@ import numpy as np
 
 from evqr.config import AlignConfig
 from evqr.events.batch import EventBatch
-from evqr.fit.image import Sharpen, depositing
+from evqr.fit.image import Deposit, Sharpen, cells_for
 from evqr.fit.modules import Equations, solve_modules
 from evqr.fit.tables import Codes, room_for
 
 
 def deposit(window, motion, region, *, workspace):
     """Events on a region's cells."""
-    step, fresh = depositing(EventBatch.of([window]), [motion], [region], workspace=workspace)
-    if fresh:
+    return deposited(EventBatch.of([window]), [motion], [region], workspace=workspace)
+
+
+def deposited(batch, motions, regions, *, workspace):
+    """Events of windows on cells of a region each, unless they are there already."""
+    cells, events = cells_for(regions, workspace=workspace), workspace.events(batch)
+    if cells.take(batch, motions, regions):
+        step = cells.once(("deposit", events.capacity), lambda: Deposit(events, cells, workspace))
+        step.write(batch, motions, regions)
         step.run()
-    return step
+    return cells
 
 
-def sharpen(deposited, motion, region, lags_px, *, workspace):
+def sharpen(cells, motion, region, lags_px, *, workspace):
     """Images (N, height, width) for some pairs of lags [px]."""
-    step = Sharpen(deposited, AlignConfig().blur_cells, workspace, each=len(lags_px))
+    step = Sharpen(cells, AlignConfig().blur_cells, workspace, each=len(lags_px))
     step.write([motion], [region], [lags_px])
     step.run()
     return step.images
@@ -31,14 +38,12 @@ def normal_equations(images, pose, gain, space, sigma, cfg, *, workspace):
     """Stage two's equations for an image, a pose (3, 3) in its pixels and a gain (2,)."""
     codes = Codes.of(workspace)
     number = codes.number(space)
-    shapes = {"pose": (1, 9), "gain": (1, 2), "number": (1,)}
-    mirrors = {
-        name: workspace.mirror(shape, np.int32 if name == "number" else np.float32)
-        for name, shape in shapes.items()
+    values = {
+        "pose": pose.reshape(1, 9).astype(np.float32),
+        "gain": np.array([gain], np.float32),
+        "number": np.array([number], np.int32),
     }
-    for name, values in {"pose": pose.reshape(1, 9), "gain": gain, "number": number}.items():
-        mirrors[name].write(values)
-    poses = SimpleNamespace(**{name: mirror.device for name, mirror in mirrors.items()})
+    poses = SimpleNamespace(**{name: workspace.put(array) for name, array in values.items()})
     tables = codes.modules(cfg, [number])
     step = Equations(images, poses, tables, room_for([space]), sigma, cfg, workspace)
     step.run()

@@ -5,12 +5,13 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from scenes import noise
+from steps import deposited
 
 from evqr.events.array import EventArray
 from evqr.events.batch import EventBatch
 from evqr.events.buffer import EventBuffer
 from evqr.events.window import make_window
-from evqr.fit.image import depositing
+from evqr.fit.image import cells_for
 from evqr.fit.region import Region
 from evqr.motion import Motion
 from evqr.workspace import Workspace
@@ -43,9 +44,7 @@ def windows():
 
 
 def cells_of(batch, motions, regions, workspace):
-    step, _ = depositing(batch, motions, regions, workspace=workspace)
-    step.run()
-    return workspace.get(step.cells).copy()
+    return workspace.get(deposited(batch, motions, regions, workspace=workspace).device).copy()
 
 
 @pytest.fixture(scope="module", params=["numpy", "warp"])
@@ -102,19 +101,19 @@ def test_what_the_clock_shows_does_not_matter(start_us, fresh):
 def test_a_deposit_that_is_there_is_not_made_again(fresh):
     batch = EventBatch.of(windows()[:2])
     motions, regions = MOTIONS[:2], [REGIONS[0]] * 2
-    step, stale = depositing(batch, motions, regions, workspace=fresh)
-    assert stale
-    again, stale = depositing(batch.pick([0, 1]), motions, regions, workspace=fresh)
-    assert again is step and not stale
+    cells = cells_for(regions, workspace=fresh)
+    assert cells.take(batch, motions, regions)
+    assert cells_for(list(regions), workspace=fresh) is cells
+    assert not cells.take(batch.pick([0, 1]), motions, regions)
     for changed in (
         (batch.pick([1, 0]), motions, regions),
         (batch, motions[::-1], regions),
         (batch, motions, [replace(regions[0]), regions[1]]),
     ):
-        assert depositing(*changed, workspace=fresh)[1]
+        assert cells.take(*changed)
 
 
 def test_motions_that_turn_are_refused(fresh):
     turning = Motion(np.array([1.0, 0.0, 0.0, 1.0, -1.0, 0.0]))
     with pytest.raises(NotImplementedError, match="2 parameters, got 6"):
-        depositing(EventBatch.of(windows()[:1]), [turning], REGIONS[:1], workspace=fresh)
+        deposited(EventBatch.of(windows()[:1]), [turning], REGIONS[:1], workspace=fresh)

@@ -3,9 +3,9 @@
 import numpy as np
 import pytest
 from scenes import scene
-from steps import deposit
 
 from evqr.config import ReadConfig
+from evqr.events.batch import EventBatch
 from evqr.fit.align import align, fine_levels
 from evqr.fit.detection import Target
 from evqr.fit.lag import estimate_lags
@@ -25,9 +25,8 @@ def estimated(made, workspace, see):
         CONFIG.align,
         workspace=workspace,
     )
-    cells = deposit(seen.window, seen.motion, seen.region, workspace=workspace)
-    target = Target(seen.space, seen.pose, seen.motion)
-    lag_px, found = estimate_lags(cells, [target], [seen.region], without.pose, CONFIG, workspace=workspace)
+    target, batch = Target(seen.space, seen.pose, seen.motion), EventBatch.of([seen.window])
+    lag_px, found = estimate_lags(batch, [target], [seen.region], without.pose, CONFIG, workspace=workspace)
     return seen, without, lag_px[0], found
 
 

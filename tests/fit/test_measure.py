@@ -9,7 +9,7 @@ from evqr.config import ReadConfig
 from evqr.events.batch import EventBatch
 from evqr.fit.align import align, fine_levels
 from evqr.fit.detection import Target
-from evqr.fit.image import depositing
+from evqr.fit.image import cells_for
 from evqr.fit.measure import Measure, measure
 from evqr.fit.model import profiles
 from evqr.fit.modules import SUPPORT, Solution
@@ -102,12 +102,13 @@ def test_whole_windows_run_as_one_captured_graph(made, workspace):
     time = middle_us(made)
     window, target, region = known(made, time)
     first = measure(EventBatch.of([window]), [target], [region], CONFIG, workspace=workspace)
-    events, _ = depositing(EventBatch.of([window]), [target.motion], [region], workspace=workspace)
+    batch = EventBatch.of([window])
+    events, cells = workspace.events(batch), cells_for([region], workspace=workspace)
     codes, (level,) = Codes.of(workspace), fine_levels(CONFIG.align)
     number, room = codes.number(SPACE), room_for([SPACE])
     poses, modules = codes.poses(level, CONFIG.align, [number]), codes.modules(CONFIG.modules, [number])
-    step = Measure(events, True, poses, modules, room, CONFIG, workspace)
-    step.write([target], [region], [number])
+    step = Measure(events, cells, poses, modules, room, CONFIG, workspace)
+    step.write(batch, [target], [region], [number])
     solution, solve = solving(step, first.equations[0], workspace)
     solve()  # loads what nothing else has used
     with wp.ScopedCapture(device=workspace.device) as capture:
@@ -116,8 +117,8 @@ def test_whole_windows_run_as_one_captured_graph(made, workspace):
     for moment in (time, time + 400.0):
         window, target, region = known(made, moment)
         batch = EventBatch.of([window])
-        assert depositing(batch, [target.motion], [region], workspace=workspace)[0] is events
-        step.write([target], [region], [number])
+        assert cells_for([region], workspace=workspace) is cells and workspace.events(batch) is events
+        step.write(batch, [target], [region], [number])
         start = modules.start[number]
         solution._q.host[0, : len(start), : start.shape[1]] = start
         wp.capture_launch(capture.graph)

@@ -46,6 +46,30 @@ def test_a_sequence_runs_when_it_is_called(placed):
     assert value(backend, image, device) == 12.0
 
 
+def test_arrays_that_are_parts_of_a_block(placed):
+    """Written and read as one block, of several dtypes and shapes; parts of parts are parts."""
+    backend, device = placed.backend, placed.device
+    words = np.zeros(64, np.uint32)
+    words[:3], words[16:18], words[20:22] = ONE.view(np.uint32), PTR.view(np.uint32), (7, 9)
+    block = backend.from_host(np.zeros(64, np.uint32), device)
+    backend.assign(block, words)
+    x, weight = (backend.part(block, 0, (3,), np.float32) for _ in range(2))
+    ptr = backend.part(block, 16, (2,), np.int32)
+    images = backend.part(block, 32, (2, 1, 2, 8), np.float32)
+    image = images[1:].reshape((1, 2, 8))
+    run = backend.record(lambda: backend.bin_events(x, x, weight, ptr, 1.0, image))
+    run()
+    run()
+    backend.synchronize(device)
+    there = np.array(backend.to_host(block))
+    np.testing.assert_array_equal(there[:48], [*words[:32], *[0] * 16])
+    assert there[48:].view(np.float32).reshape(2, 8)[1, 1] == 6.0 == there[48:].view(np.float32).sum()
+    narrow = backend.part(block, 20, (3,), np.uint16)
+    np.testing.assert_array_equal(np.array(backend.to_host(narrow)), [7, 0, 9])
+    backend.assign(backend.part(block, 16, (32,), np.uint32), np.arange(32, dtype=np.uint32))
+    np.testing.assert_array_equal(np.array(backend.to_host(ptr)), [0, 1])
+
+
 def test_clearing_is_recorded_too(placed):
     backend, device = placed.backend, placed.device
     image, _, run = counting(backend, device)

@@ -9,7 +9,10 @@ from scenes import find, middle_us, motion_at, scene
 
 from evqr.events.batch import EventBatch
 from evqr.events.buffer import EventBuffer
+from evqr.events.packed import PackedEvents
+from evqr.events.window import make_window
 from evqr.solver import Solver
+from evqr.workspace import Staging, Workspace
 from evqr_kernels import register_backend, registry
 
 sys.path.insert(0, str(Path(__file__).parents[2] / "perf"))
@@ -51,7 +54,75 @@ def test_a_followed_window_is_recorded_sequences_alone(counting_over_warp):
     assert counts.launches == 0 and counts.graphs > 0
     assert counts.recorded == sum(counts.kernels.values())
     assert counts.kernels["deposit_packed_events"] >= 2
-    assert counts.uploads > 6 and counts.downloads > 1  # three columns of two windows, among them
+
+
+def tracked(solver, batch, before):
+    followed = solver.follow(batch, [before] * len(batch))
+    return followed, solver.solve(followed)
+
+
+@pytest.mark.parametrize("count", [1, 5])
+def test_what_is_copied_does_not_grow_with_the_batch(count, counting_over_warp):
+    """A batch that is followed and solved: its events, and what each sequence takes and gives."""
+    solver, made = counting_over_warp, scene(preset="fast")
+    buffer, start = EventBuffer.of(made.events), middle_us(made) - 250
+    window = buffer.window(start, start + 500)
+    before = find(solver, window, motion_at(made.truth["truth"], window.middle_us))
+
+    def run():
+        later = buffer.window(start + 500, start + 1000)
+        # events of their own, as of several cameras
+        windows = [make_window(later.events, later.start_us, later.end_us) for _ in range(count)]
+        return tracked(solver, EventBatch.of(windows), before)
+
+    counts, (followed, _) = counting.counted(solver, run)
+    assert all(each.score > 0.8 for each in followed)
+    assert (counts.uploads, counts.downloads) == (3, 2)
+    assert counts.launches == 0 and counts.graphs == 2
+
+
+def test_a_sequence_has_one_copy_each_way():
+    backend = counting.CountingBackend()
+    workspace = Workspace(backend, "cpu")
+    staging = Staging(workspace)
+    weight = staging.input((1, 1))
+    images = staging.both((1, 1, 4, 8), value=np.arange(8.0))
+    first, mixed = staging.input((1,), np.int32), staging.output((1, 4, 8))
+    run = staging.sequence(
+        lambda: backend.mix_images(images.device, first.device, weight.device, mixed.device)
+    )
+    backend.counts = counting.Counts()
+    weight.write(2.0)
+    images.host[..., 0] = 5.0
+    for times in (1, 2):
+        run()
+        assert backend.counts.uploads == times
+        np.testing.assert_array_equal(mixed.read()[0], [[10, 2, 4, 6, 8, 10, 12, 14]] * 4)
+        np.testing.assert_array_equal(images.read()[0, 0], [[5, 1, 2, 3, 4, 5, 6, 7]] * 4)
+        assert backend.counts.downloads == times
+    assert backend.counts.graphs == 2
+    assert backend.counts.up_bytes == 2 * (64 + 64 + 128) and backend.counts.down_bytes == 2 * (128 + 128)
+
+
+def test_events_are_copied_at_once_or_where_few_are_there_by_column():
+    backend = counting.CountingBackend()
+    workspace = Workspace(backend, "cpu")
+
+    def copies(count):
+        one = np.full(count, count % 60_000, np.uint16)
+        events = PackedEvents(one, one + np.uint16(1), one.astype(np.uint32) + 2)
+        batch = EventBatch((), events, np.zeros((0, 2), np.int32), np.zeros(0, np.int32))
+        backend.counts = counting.Counts()
+        room = workspace.events(batch)
+        for column, values in ((room.x, events.x), (room.y, events.y), (room.stamp, events.stamp)):
+            np.testing.assert_array_equal(workspace.get(column)[:count], values)
+        return backend.counts.uploads, backend.counts.up_bytes
+
+    assert not workspace.shared
+    assert copies(10_000) == (1, 4 * (1 << 14) + 40_000)
+    assert copies(1_000_000)[0] == 2  # room is made, too
+    assert copies(900_000) == (1, 4 * (1 << 20) + 3_600_000)
+    assert copies(100_000) == (3, 800_000)
 
 
 def test_kernels_are_those_of_a_gpu_and_copies_are_copies():

@@ -9,6 +9,7 @@ import pytest
 from evqr.events.array import EventArray
 from evqr.events.batch import EventBatch
 from evqr.events.buffer import EventBuffer
+from evqr.events.packed import PackedEvents
 from evqr.events.window import make_window
 from evqr.workspace import Step, Workspace
 from evqr_kernels import get_backend
@@ -100,6 +101,16 @@ def test_room_grows_in_powers_of_two_and_is_kept(workspace, rng):
     assert workspace.events(of(window(10))) is workspace.events(of(window(1 << 15))) is large
 
 
+def test_large_room_grows_in_smaller_steps(workspace, monkeypatch):
+    monkeypatch.setattr("evqr.workspace.MANY_EVENTS", 1 << 15)
+    for count, capacity in ((20_000, 1 << 15), (33_000, 9 << 12), (65_000, 1 << 16), (65_537, 9 << 13)):
+        workspace = Workspace(workspace.backend, "cpu")
+        one = np.ones(count, np.uint16)
+        packed = PackedEvents(one, one, one.astype(np.uint32))
+        batch = EventBatch((), packed, np.zeros((0, 2), np.int32), np.zeros(0, np.int32))
+        assert workspace.events(batch).capacity == capacity
+
+
 @pytest.mark.parametrize("other", ["polarity", "every second", "filled again"])
 def test_other_events_are_not_taken_for_the_same(other, workspace, events):
     """Windows made of arrays say nothing about what else lies in them."""
@@ -138,12 +149,12 @@ def test_what_was_not_used_for_longest_goes_first(workspace):
 def test_what_works_on_buffers_of_a_step_goes_with_it(workspace):
     """No key knows an array by its address, so that none can be taken for another one's."""
     workspace.most_kept = 1
-    step = workspace.once("first", lambda: Owner(workspace.backend))
-    kept = weakref.ref(step.once("what", lambda: Owner(workspace.backend)))
+    step = workspace.once("first", lambda: Owner(workspace))
+    kept = weakref.ref(step.once("what", lambda: Owner(workspace)))
     assert step.once("what", lambda: None) is kept()
     del step
     gc.collect()
     assert kept() is not None
-    workspace.once("second", lambda: Owner(workspace.backend))
+    workspace.once("second", lambda: Owner(workspace))
     gc.collect()
     assert kept() is None
