@@ -24,6 +24,7 @@ if TYPE_CHECKING:
 
     from evqr.config import ReadConfig
     from evqr.recording import RecordingOptions
+    from evqr.solvers import KeptSolvers
 
 _LOG = logging.getLogger(__name__)
 
@@ -69,17 +70,13 @@ def read_many(
             f"sources must be what read_codes takes, or many of them, got {type(sources).__name__}"
         )
     check_names("read_many", opening)
-    read = partial(
-        _read_one,
-        config=config,
-        backend=backend,
-        device=device,
-        threads=threads,
-        **opening,
-    )
+    options = {"config": config, "backend": backend, "device": device, "threads": threads, **opening}
     if executor is None:
-        yield from map(read, sources)
+        from evqr.solvers import KeptSolvers
+
+        yield from map(partial(_read_one, KeptSolvers(), **options), sources)
         return
+    read = partial(_read_in_worker, **options)
     # All are submitted at once: an executor does not say how many workers it has, and none should wait.
     jobs = [(_name(source), _submitted(executor, read, source)) for source in sources]
     try:
@@ -93,11 +90,18 @@ def read_many(
             job.cancel()
 
 
-def _read_one(source: Any, **options: Any) -> ReadResult:
+def _read_in_worker(source: Any, **options: Any) -> ReadResult:
+    from evqr.solvers import KeptSolvers
+
+    return _read_one(KeptSolvers.of_this_thread(), source, **options)
+
+
+def _read_one(kept: KeptSolvers, source: Any, **options: Any) -> ReadResult:
     from evqr.offline import read_codes
 
     try:
-        return read_codes(source, **options)
+        with kept.used():
+            return read_codes(source, **options)
     except Exception as error:  # whatever is wrong with one source must not end the others
         if not isinstance(error, EvqrError):
             _LOG.debug("%s", _name(source), exc_info=True)  # a result has no room for where it happened

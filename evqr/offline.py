@@ -24,6 +24,7 @@ from evqr.recording.options import check_names
 from evqr.results import Candidate, CodeReading, Nearest, ReadResult, ReadStatus, WindowCode, WindowReading
 from evqr.search.motion_estimate import MotionEstimate
 from evqr.solver import Solver
+from evqr.solvers import solvers_for
 from evqr.stream.records import CodeLeft, CodeRead, CodeUnread, Searched, StreamRecord
 from evqr.stream.scheduler import StreamScheduler
 from evqr.stream.unread import at_one_place
@@ -313,7 +314,7 @@ def _solvers(
     count = 1 if threads is None else threads
     if count < 1:
         raise ValueError(f"threads must be at least 1, got {threads}")
-    solvers = [Solver(config, backend=backend, device=device) for _ in range(count)]
+    solvers = stack.enter_context(solvers_for(count, config, backend=backend, device=device))
     return solvers, stack.enter_context(ThreadPoolExecutor(count)) if count > 1 else None
 
 

@@ -18,7 +18,7 @@ FLOORS = (
     ("fit",),
     ("search", "launched"),
     ("solver",),
-    ("work", "results"),
+    ("solvers", "work", "results"),
     ("stream",),
     ("offline",),
     ("many", "output", "demo"),

@@ -10,9 +10,12 @@ from concurrent.futures import ProcessPoolExecutor, ThreadPoolExecutor
 import pytest
 import sample_results
 
+from evqr.config import ReadConfig
+from evqr.demo import demo_recording
 from evqr.errors import RecordingError
 from evqr.many import read_many
 from evqr.results import ReadResult, ReadStatus
+from evqr.solvers import solvers_for
 
 
 @pytest.fixture
@@ -132,3 +135,44 @@ def test_dask(fake_reader):
     with distributed.LocalCluster(**local) as cluster, distributed.Client(cluster) as client:
         executor = client.get_executor()
         assert outcomes(read_many(["a", "bad", "b", "bug", "c"], executor=executor)) == EXPECTED
+
+
+@pytest.fixture
+def solvers_taken(monkeypatch):
+    """A reader that only takes a solver; returns those that it had, in order."""
+    taken = []
+
+    def read_codes(source, *, config=None, backend="numpy", device="cpu", threads=None):
+        with solvers_for(1, config, backend="numpy", device=device) as (solver,):
+            taken.append(solver)
+            if source == "bad":
+                raise RecordingError("bad: cut short; copy it again")
+        return ReadResult(ReadStatus.NO_READ, f"read {source}", source=source)
+
+    monkeypatch.setattr("evqr.offline.read_codes", read_codes)
+    return taken
+
+
+def test_a_solver_is_kept_for_the_next_recording_but_not_where_one_failed(solvers_taken):
+    list(read_many(["a", "b", "bad", "c", "d"]))
+    first, second, third, fourth, fifth = solvers_taken
+    assert first is second is third
+    assert fourth is fifth and fourth is not third
+
+    list(read_many(["a"]))
+    assert solvers_taken[-1] is not fifth, "kept beyond the call"
+
+
+def test_a_thread_keeps_its_solver_for_as_long_as_it_is_configured_alike(solvers_taken):
+    with ThreadPoolExecutor(1) as pool:
+        for config in (ReadConfig(), ReadConfig(), ReadConfig(max_windows=3)):
+            list(read_many(["a"], executor=pool, config=config))
+    first, second, third = solvers_taken
+    assert first is second and third is not second
+
+
+def test_a_kept_solver_reads_to_the_bit_what_a_new_one_reads():
+    with demo_recording() as path:
+        (alone,) = read_many([path], config=ReadConfig(max_windows=2))
+        one, other = read_many([path, path], config=ReadConfig(max_windows=2))
+    assert alone.readings and alone.readings == one.readings == other.readings

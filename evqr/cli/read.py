@@ -124,8 +124,11 @@ def _results(
 ) -> Iterator[tuple[Named, ReadResult]]:
     """Read recordings, one after another or several at a time; what cannot be read is a result, too."""
     if jobs == 1:
+        from evqr.solvers import KeptSolvers
+
+        kept = KeptSolvers()
         for named in recordings:
-            with options.progress_bar(named.name) as progress:
+            with options.progress_bar(named.name) as progress, kept.used():
                 result = _read_one(named, {**given, "progress": progress})
             yield named, result
         return
