@@ -67,7 +67,8 @@ if TYPE_CHECKING:
     from evqr.symbol.gs1 import Gs1Element
     from evqr.symbol.messages import Message, join_messages
     from evqr.symbol.payload import CharsetSource, ContentType, Payload, StructuredAppend
-    from evqr.symbol.space import Anchor, CodeSpace, Landmark, Symbology
+    from evqr.symbol.space import Anchor, CodeSpace, Landmark
+    from evqr.symbology import Symbology
 
     __version__: str
 

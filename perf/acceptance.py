@@ -31,7 +31,8 @@ from tqdm import tqdm
 
 import evqr
 from evqr import simulate
-from evqr.symbol.qr_codewords import LEVELS, codeword_layout
+from evqr.symbol.qr_codewords import codeword_layout
+from evqr.symbol.qr_tables import LEVELS
 
 MIN_READ_RATE = 0.99
 PRESETS = ("clean", "slow", "fast")

@@ -175,10 +175,12 @@ def test_nothing_read(capsys, reads, recording):
 def test_options_reach_the_reader(capsys, reads, recording):
     given = reads(sample_results.read_result())
     options = "--window-us 250 --max-windows 9 --lag-us 300,650.5 --vote soft --backend numpy --threads 2"
+    options += " --symbologies QR,rmqr"
     assert run(capsys, "read", recording, *options.split())[0] == 0
     config = given["config"]
     assert (config.window_us, config.max_windows, config.lag_us) == (250, 9, (300.0, 650.5))
     assert config.vote.value == "soft"
+    assert config.symbologies == ("QRCode", "RMQRCode")
     assert (given["backend"], given["device"], given["threads"]) == ("numpy", "cpu", 2)
     assert given["source"] == Path(recording)
 
@@ -286,6 +288,8 @@ def test_jobs_read_in_workers(capsys, tmp_path):
         ("read FILE --max-windows few", "'few'"),
         ("read FILE --lag-us 300", "'300' is no pair of lags"),
         ("read FILE --vote loudest", "'loudest'"),
+        ("read FILE --symbologies qr,code39", "symbology must be one of QRCode, MicroQRCode"),
+        ("read FILE --symbologies aztec", "symbologies must be of QRCode, MicroQRCode, RMQRCode, got Aztec"),
         (
             "read FILE --charset klingon",
             "charset must be a name, as utf-8 or shift_jis, or None, got 'klingon'",

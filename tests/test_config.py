@@ -57,6 +57,8 @@ def test_values_of_the_wrong_type_are_refused(cls, given, allowed):
 @pytest.mark.parametrize(
     ("cls", "given", "allowed"),
     [
+        (ReadConfig, {"symbologies": ()}, "a tuple, each one of 'QRCode', .*, at least one, got \\(\\)"),
+        (ReadConfig, {"symbologies": ("code39",)}, "a tuple, each one of 'QRCode', .*, got \\('code39',\\)"),
         (ReadConfig, {"vote": "sotf"}, "one of 'mode', 'soft', 'information', got 'sotf'"),
         (ReadConfig, {"lag_us": (1.0, 2.0, 3.0)}, "a tuple of 2"),
         (MotionConfig, {"min_peak": 1.5}, "a number, at least 0 and at most 1, got 1.5"),

@@ -89,6 +89,7 @@ PUBLIC = {name for module in PLACES for name in module.__all__}
 OWN = own_types()
 INTERNAL = {
     "Lag", "Count", "Positive", "NotNegative", "Share", "Samples", "Range", "Ascending",  # ranges of settings
+    "NotEmpty",
     "Array", "Floats", "Ints",  # arrays of any kind, see evqr_kernels.ops
     "Asked", "Source",  # what `open_recording` makes a `Recording` of
     "_S",

@@ -11,6 +11,7 @@ from typing import Annotated, Any
 
 from evqr import config
 from evqr.config.settings import Range, Settings, kinds
+from evqr.symbology import Symbology
 
 INTRODUCTION = """\
 # Settings
@@ -36,13 +37,23 @@ def settings_page() -> str:
     """Write the page."""
     classes = [getattr(config, name) for name in config.__all__ if name not in ("Settings", "Vote")]
     classes.sort(key=lambda each: each is not config.ReadConfig)  # the one that holds the others comes first
-    return "\n".join([INTRODUCTION, *(_section(each) for each in classes), _votes()])
+    return "\n".join([INTRODUCTION, *(_section(each) for each in classes), _enums()])
 
 
-def _votes() -> str:
-    lines = ["## Vote", "", (config.Vote.__doc__ or "").strip(), "", "| value | what |", "|---|---|"]
-    texts = _strings_after_members(config.Vote)
-    return "\n".join([*lines, *(f'| `"{each.value}"` | {texts[each.name]} |' for each in config.Vote)])
+def _enums() -> str:
+    lines: list[str] = []
+    for kind in (config.Vote, Symbology):
+        lines += [
+            f"## {kind.__name__}",
+            "",
+            (kind.__doc__ or "").strip(),
+            "",
+            "| value | what |",
+            "|---|---|",
+        ]
+        texts = _strings_after_members(kind)
+        lines += [*(f'| `"{each.value}"` | {texts[each.name]} |' for each in kind), ""]
+    return "\n".join(lines[:-1])
 
 
 def _strings_after_members(enum: type[Enum]) -> dict[str, str]:

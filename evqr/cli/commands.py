@@ -132,9 +132,12 @@ def convert(recording: Path, output: Path, opening: RecordingOptions, force: boo
     help="What the code says.  Given several times: as many codes, one behind the other.",
 )
 @click.option(
-    "--symbology", default="QRCode", show_default=True, help="Or MicroQRCode; in any case, as microqr."
+    "--symbology",
+    default="QRCode",
+    show_default=True,
+    help="Or MicroQRCode, RMQRCode; as microqr, too.",
 )
-@click.option("--version", type=VersionType(), metavar="1-40|M1-M4", help="Default: the smallest that fits.")
+@click.option("--version", type=VersionType(), metavar="N|M1|R11x27", help="Default: the smallest that fits.")
 @click.option(
     "--ec", type=click.Choice(["L", "M", "Q", "H"]), default="M", show_default=True, help="Error correction."
 )

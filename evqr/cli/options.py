@@ -9,11 +9,14 @@ import sys
 import traceback
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager, suppress
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import click
 
 from evqr.errors import UsageError
+
+if TYPE_CHECKING:
+    from evqr.symbology import Symbology
 
 OK, NOTHING, BAD, FAILED, INTERRUPTED, PIPE_CLOSED = 0, 1, 2, 3, 130, 141
 """Exit statuses: something read, nothing read, bad input, use or surroundings, a fault of evqr, Ctrl-C, the
@@ -54,8 +57,29 @@ class VersionType(click.ParamType):
 
         names = {str(version).lower(): version for symbol in SYMBOLS.values() for version in symbol.sizes}
         if str(value).lower() not in names:
-            self.fail(f"{value!r} is no version; write 1 to 40, or M1 to M4 for Micro QR codes", param, ctx)
+            self.fail(
+                f"{value!r} is no version; write 1 to 40, M1 to M4 for Micro QR, R7x43 to R17x139 for rMQR",
+                param,
+                ctx,
+            )
         return names[str(value).lower()]
+
+
+class SymbologiesType(click.ParamType):
+    """Names of kinds of symbols with commas between them, as ``qr,microqr``."""
+
+    name = "symbologies"
+
+    def convert(
+        self, value: Any, param: click.Parameter | None, ctx: click.Context | None
+    ) -> tuple[Symbology, ...]:
+        """Return the kinds, each once."""
+        from evqr.symbology import Symbology
+
+        try:
+            return tuple(dict.fromkeys(map(Symbology.parse, str(value).split(","))))
+        except ValueError as error:
+            self.fail(f"{error}; write names with commas between them", param, ctx)
 
 
 class LagType(click.ParamType):
@@ -235,6 +259,12 @@ _CONFIG = {
         type=LagType(),
         metavar="ON,OFF",
         help="Lags of the pixels, in microseconds; default: estimated.",
+    ),
+    "symbologies": click.option(
+        "--symbologies",
+        type=SymbologiesType(),
+        metavar="NAME,...",
+        help="Kinds of symbols to search for, as qr,microqr,rmqr; default: qr,microqr.",
     ),
     "charset": click.option(
         "--charset",

@@ -9,8 +9,9 @@ from typing import Annotated
 from evqr.config.decode import DecodeConfig
 from evqr.config.fit import AlignConfig, LagConfig, ModulesConfig
 from evqr.config.search import FinderConfig, MotionConfig
-from evqr.config.settings import Count, Range, Settings
+from evqr.config.settings import Count, NotEmpty, Range, Settings
 from evqr.config.stream import SchedulerConfig, TrackConfig
+from evqr.symbology import SEARCHED, Symbology
 
 Lag = Annotated[float, Range(least=0.0, most=1e5)]
 
@@ -40,6 +41,9 @@ class ReadConfig(Settings):
         Stop after so many windows. Default: all.
     lag_us : tuple of 2 floats [us], optional
         Time constants of the pixels for ON and for OFF events. Default: estimated.
+    symbologies : tuple of Symbology
+        Kinds of symbols that are searched for. Default: those whose search costs next to nothing beside that
+        for QR codes.
     vote : Vote
         How windows are combined. Measured: INFORMATION leaves the fewest modules wrong
         (tests/solver/test_vote.py).
@@ -69,6 +73,7 @@ class ReadConfig(Settings):
     travel_px: Annotated[float, Range(least=0.2, most=50.0)] = 2.0
     max_windows: Count | None = None
     lag_us: tuple[Lag, Lag] | None = None
+    symbologies: Annotated[tuple[Symbology, ...], NotEmpty] = (Symbology.QR_CODE, Symbology.MICRO_QR_CODE)
     vote: Vote = Vote.INFORMATION
     search_px: Annotated[float, Range(least=0.2, most=1000.0)] = 10.0
     follow_px: Annotated[float, Range(least=0.2, most=1000.0)] = 8.0
@@ -80,3 +85,9 @@ class ReadConfig(Settings):
     decode: DecodeConfig = field(default_factory=DecodeConfig)
     scheduler: SchedulerConfig = field(default_factory=SchedulerConfig)
     track: TrackConfig = field(default_factory=TrackConfig)
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        for symbology in self.symbologies:
+            if symbology not in SEARCHED:
+                raise ValueError(f"symbologies must be of {', '.join(SEARCHED)}, got {symbology}")

@@ -60,6 +60,10 @@ class Ascending:
     """Marks a tuple of numbers none of which may be smaller than the one before it."""
 
 
+class NotEmpty:
+    """Marks a tuple of at least one."""
+
+
 class KnownCharset:
     """Marks the name of a character set that Python knows."""
 
@@ -175,6 +179,8 @@ def _converted(value: Any, kind: Any) -> Any:
                 raise ValueError
             if limit is Ascending and list(value) != sorted(value):
                 raise ValueError
+            if limit is NotEmpty and not value:
+                raise ValueError
             if limit is KnownCharset and not _is_charset(value):
                 raise ValueError
         return value
@@ -229,6 +235,7 @@ def _allowed(kind: Any) -> str:
     if origin is Annotated:
         limits = [str(limit) for limit in parts[1:] if isinstance(limit, Range)]
         limits += ["as utf-8 or shift_jis" for limit in parts[1:] if limit is KnownCharset]
+        limits += ["at least one" for limit in parts[1:] if limit is NotEmpty]
         limits += ["none smaller than the one before" for limit in parts[1:] if limit is Ascending]
         return ", ".join([_allowed(parts[0]), *limits])
     if origin in (Union, UnionType):

@@ -26,10 +26,11 @@ from evqr.motion import Motion
 from evqr.reason import Reason
 from evqr.search.finder import Found, finding
 from evqr.search.hypothesis import Hypotheses
+from evqr.search.models import kinds_of
 from evqr.search.pyramid import Pyramid
 from evqr.search.score import score
 from evqr.search.screen import Candidate, screen
-from evqr.search.singles import codes_of_singles
+from evqr.search.singles import codes_of_singles, with_single_patterns
 from evqr.search.triples import codes_of_triples
 from evqr.workspace import Workspace
 
@@ -62,7 +63,8 @@ class _Window:
         self._taken = np.zeros(len(found.peaks), bool)
         # where the most promising is no code a more thorough pass will tell, rather than the next ones
         self._failures, self._most = 0, cfg.finder.tries if last else 1
-        made = codes_of_triples(found.peaks.table, found.triples, cfg.finder)[: cfg.finder.hypotheses]
+        made = codes_of_triples(found.peaks.table, found.triples, cfg.finder)
+        made = made[kinds_of(cfg.symbologies)[made.size]][: cfg.finder.hypotheses]
         first = cfg.finder.first_hypotheses
         self._waiting = [part for part in (made[:first], made[first:] if last else made[:0]) if len(part)]
         self._matching = made[:0]
@@ -85,7 +87,8 @@ class _Window:
         """Give the finder patterns that are each tried as the only one of a code."""
         self._failures, self._most = 0, self._cfg.finder.single_tries
         self._matching, self._match = self._matching[:0], self._match[:0]
-        return np.flatnonzero(~self._taken)[: 0 if self.sure else self._cfg.finder.single_patterns]
+        none = self.sure or not with_single_patterns(self._cfg.symbologies)
+        return np.flatnonzero(~self._taken)[: 0 if none else self._cfg.finder.single_patterns]
 
     def scored(self, hypotheses: Hypotheses, scores: NDArray[np.float32], least: float) -> None:
         """Take scores (N, 2) of hypotheses: those that match are looked at, best first."""
@@ -276,6 +279,7 @@ def _score_singles(
             np.array([window.motion.direction for window in windows])[of_window],
             pyramid,
             cfg.align,
+            cfg.symbologies,
             workspace=workspace,
         )
         each = len(hypotheses) // len(peaks)

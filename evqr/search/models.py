@@ -14,8 +14,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from evqr.fit.model import profiles
-from evqr.symbol.space import Anchor, Landmark, Symbology, Timing, Version, closed
+from evqr.symbol.space import Anchor, Landmark, Timing, Version, closed
 from evqr.symbol.symbols import SYMBOLS
+from evqr.symbology import Symbology
 
 SIGMA = 0.5
 """Blur of the model [modules]: a timing pattern would vanish with more."""
@@ -54,6 +55,12 @@ def sizes() -> tuple[Size, ...]:
             if len(anchors) in (1, 3):
                 found.append(Size(symbology, version, anchors))
     return tuple(found)
+
+
+@functools.cache
+def kinds_of(symbologies: tuple[Symbology, ...]) -> NDArray[np.bool_]:
+    """Return which of `sizes` are of some symbologies."""
+    return closed(np.array([size.symbology in symbologies for size in sizes()]))
 
 
 @dataclass(frozen=True, eq=False)
@@ -116,8 +123,11 @@ def _line(timing: Timing) -> NDArray[np.float64]:
     # at each edge and behind the last: from light to dark at the first, and in turn up to the last
     edge = np.arange(timing.count + 1 + timing.quiet)
     beside = np.arange(-3, 4)
-    other = edge[:, None] + beside
-    change = np.where((other >= 0) & (other <= timing.count), -2.0 * (-1.0) ** other, 0.0)
+    light = np.ones(timing.count + 2 * (1 + len(beside)) + timing.quiet)
+    line = light[1 + len(beside) :]
+    line[: timing.count : 2] = -1.0
+    line[list(timing.dark)] = -1.0
+    change = np.diff(light)[len(beside) + edge[:, None] + beside]
     density = np.exp(-0.5 * (beside / SIGMA) ** 2) / (math.sqrt(2.0 * math.pi) * SIGMA)
     points = np.zeros((len(edge), 4))
     points[:, :2] = timing.u, timing.v

@@ -19,7 +19,8 @@ from evqr.geometry import compose
 from evqr.search.hypothesis import Hypotheses
 from evqr.search.models import sizes
 from evqr.search.pyramid import Pyramid
-from evqr.symbol.space import Anchor, CodeSpace, Landmark, Symbology
+from evqr.symbol.space import Anchor, CodeSpace, Landmark
+from evqr.symbology import Symbology
 from evqr.workspace import Workspace
 
 QUARTERS = 4
@@ -49,11 +50,11 @@ def _pattern() -> CodeSpace:
 
 
 @functools.cache
-def _single() -> tuple[NDArray[np.intp], NDArray[np.float64]]:
-    """Sizes with one finder pattern in every direction: index, and map (N, 3, 3) of theirs to `_pattern`."""
+def _single(symbologies: tuple[Symbology, ...]) -> tuple[NDArray[np.intp], NDArray[np.float64]]:
+    """Sizes with one finder pattern, in every direction: index, and map (N, 3, 3) of theirs to `_pattern`."""
     found, maps = [], []
     for k, size in enumerate(sizes()):
-        if len(size.anchors) == 1:
+        if len(size.anchors) == 1 and size.symbology in symbologies:
             for quarter in range(QUARTERS):
                 cos, sin = (1, 0, -1, 0)[quarter], (0, 1, 0, -1)[quarter]
                 turn = np.array([[cos, -sin, 4.5], [sin, cos, 4.5], [0.0, 0.0, 1.0]])
@@ -64,6 +65,11 @@ def _single() -> tuple[NDArray[np.intp], NDArray[np.float64]]:
     return np.array(found, np.intp), np.array(maps)
 
 
+def with_single_patterns(symbologies: tuple[Symbology, ...]) -> bool:
+    """Whether symbols of some kinds have a single finder pattern."""
+    return len(_single(symbologies)[0]) > 0
+
+
 def codes_of_singles(
     peaks: NDArray[np.float32],
     which: NDArray[np.intp],
@@ -71,6 +77,7 @@ def codes_of_singles(
     direction: NDArray[np.float64],
     pyramid: Pyramid,
     cfg: AlignConfig,
+    symbologies: tuple[Symbology, ...],
     *,
     workspace: Workspace,
 ) -> Hypotheses:
@@ -90,6 +97,8 @@ def codes_of_singles(
         What was searched.
     cfg : AlignConfig
         Settings.
+    symbologies : tuple of Symbology
+        Kinds of symbols that they could be.
     workspace : Workspace
         Buffers.
 
@@ -98,7 +107,7 @@ def codes_of_singles(
     hypotheses : Hypotheses
         As many of each peak, in their order.
     """
-    size, turns = _single()
+    size, turns = _single(symbologies)
     _, x, y, module_px, angle = peaks.T.astype(np.float64)
     cos, sin = module_px * np.cos(angle), module_px * np.sin(angle)
     pose = np.zeros((len(peaks), 3, 3))

@@ -11,13 +11,17 @@ from typing import Literal
 from evqr.errors import UsageError
 from evqr.simulate.qr_writer import charset_of, gs1_message
 from evqr.symbol.payload import StructuredAppend
-from evqr.symbol.space import Symbology, Version
+from evqr.symbol.space import Version
 from evqr.symbol.symbols import SYMBOLS
+from evqr.symbology import Symbology
 
 EcLevel = Literal["L", "M", "Q", "H"]
 
-#: What can be printed, with the number of masks.
+#: The number of masks of symbols that have some to choose from.
 MASKS: Mapping[Symbology, int] = MappingProxyType({Symbology.QR_CODE: 8, Symbology.MICRO_QR_CODE: 4})
+
+#: Symbols with levels of error correction.
+WITH_LEVELS = frozenset({Symbology.QR_CODE, Symbology.MICRO_QR_CODE, Symbology.RMQR_CODE})
 
 
 def _require(ok: bool, name: str, value: object, wanted: str) -> None:
@@ -34,11 +38,11 @@ class CodePlacement:
     text : str
         Payload, not empty.
     symbology : Symbology or str
-        "QRCode" or "MicroQRCode", in any case.
+        "QRCode", "MicroQRCode" or "RMQRCode", in any case.
     version : Version, optional
-        1 to 40, or M1 to M4; None: the smallest that holds the text.
+        1 to 40, M1 to M4, or R7x43 to R17x139; None: the smallest that holds the text.
     ec : EcLevel
-        Error correction level "L", "M", "Q" or "H"; M1 has none.
+        Error correction level "L", "M", "Q" or "H"; M1 has none, rMQR codes "M" and "H".
     mask : int, optional
         0 to 7, or 0 to 3; None: chosen as the standard says.
     module_px : float [px]
@@ -81,12 +85,13 @@ class CodePlacement:
             symbology = Symbology.parse(self.symbology)
         except ValueError as error:
             raise UsageError(f"simulate: {error}") from None
-        _require(symbology in MASKS, "symbology", symbology.value, f"one of {', '.join(MASKS)}")
+        _require(symbology in SYMBOLS, "symbology", symbology.value, f"one of {', '.join(SYMBOLS)}")
         object.__setattr__(self, "symbology", symbology)
-        versions, masks = list(SYMBOLS[symbology].sizes), MASKS[symbology]
+        versions, masks = list(SYMBOLS[symbology].sizes), MASKS.get(symbology, 0)
         wanted = f"{versions[0]} to {versions[-1]}"
         _require(self.version is None or self.version in versions, "version", self.version, wanted)
-        _require(self.mask is None or 0 <= self.mask < masks, "mask", self.mask, f"0 to {masks - 1}")
+        wanted = f"0 to {masks - 1}" if masks else f"left out: {symbology} has none to choose from"
+        _require(self.mask is None or 0 <= self.mask < masks, "mask", self.mask, wanted)
         _require(1.0 <= self.module_px <= 100.0, "module_px", self.module_px, "1 to 100 px")
         _require(math.isfinite(self.angle), "angle", self.angle, "a finite number of degrees")
         self._check_content(symbology)
@@ -96,6 +101,8 @@ class CodePlacement:
         if symbology is not Symbology.QR_CODE:
             for name, value in beside.items():
                 _require(value is None, name, value, f"left out: {symbology} has none")
+        if symbology not in MASKS:
+            _require(self.charset is None, "charset", self.charset, f"left out for {symbology}")
         _require(self.eci is None or 0 <= self.eci <= 999_999, "eci", self.eci, "0 to 999999")
         if self.append is not None:
             _require(2 <= self.append.count <= 16, "append", self.append, "of 2 to 16 parts")

@@ -22,7 +22,8 @@ from evqr.simulate.printed import make_symbol, parts_of_a_message
 from evqr.simulate.sensor import add_noise, draw_pixels, read_out, run_pixels
 from evqr.simulate.texture import draw_background, draw_object
 from evqr.simulate.truth import truth_of
-from evqr.symbol.space import Symbology, Version
+from evqr.symbol.space import Version
+from evqr.symbology import Symbology
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)

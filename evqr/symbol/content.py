@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 from evqr.clock import one_time
 from evqr.symbol.payload import CharsetSource, ContentType, Payload
 from evqr.symbol.qr_segments import Run, Segments
-from evqr.symbol.space import Symbology
+from evqr.symbology import Symbology
 
 BYTES = "iso8859-1"
 """How bytes that are no text are shown: each as the character of its number."""

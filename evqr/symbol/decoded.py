@@ -10,7 +10,8 @@ from numpy.typing import NDArray
 
 from evqr.reason import Reason
 from evqr.symbol.payload import Payload
-from evqr.symbol.space import CodeSpace, Symbology, Version
+from evqr.symbol.space import CodeSpace, Version
+from evqr.symbology import Symbology
 from evqr.values import Value
 
 Effort = Literal["quick", "full"]

@@ -16,7 +16,8 @@ from evqr.symbol.decoded import Decoded, DecodeFailure, Effort
 from evqr.symbol.qr_codewords import HALF_CODEWORDS, roles_of
 from evqr.symbol.qr_decode import Evidence, decode_words
 from evqr.symbol.reed_solomon import Symbols
-from evqr.symbol.space import Anchor, CodeSpace, Landmark, Symbology, Timing
+from evqr.symbol.space import Anchor, CodeSpace, Landmark, Timing
+from evqr.symbology import Symbology
 
 QUIET_ZONE = 2
 M1_DIGITS = 5

@@ -20,7 +20,8 @@ from evqr.symbol.decoded import Decoded, DecodeFailure, Effort
 from evqr.symbol.qr_codewords import roles_of
 from evqr.symbol.qr_decode import Evidence, decode_words
 from evqr.symbol.reed_solomon import Symbols
-from evqr.symbol.space import Anchor, CodeSpace, Landmark, Symbology, Timing
+from evqr.symbol.space import Anchor, CodeSpace, Landmark, Timing
+from evqr.symbology import Symbology
 
 MIN_VERSION = 1
 MAX_VERSION = 40
@@ -64,14 +65,14 @@ def decode(
     q: NDArray[np.float64], space: CodeSpace, config: DecodeConfig, effort: Effort
 ) -> Decoded | DecodeFailure:
     """Decode a grid; see `evqr.symbol.qr_decode.decode_words`."""
-    return decode_words(q, space, config, effort, _EVIDENCE)
+    return decode_words(q, space, config, effort, EVIDENCE)
 
 
 def _log_contents(data: Symbols, may_end_in_pads: bool) -> float:
     return log_padded_contents(len(data), count_pads(data) if may_end_in_pads else 0)
 
 
-_EVIDENCE = Evidence(log_contents=_log_contents)
+EVIDENCE = Evidence(log_contents=_log_contents)
 
 
 def anchors(version: int) -> tuple[Anchor, ...]:

@@ -1,48 +1,40 @@
-"""What the modules of a QR or Micro QR code carry: function patterns, format words, masks and codewords.
+"""What the modules of codes of the QR family carry: function patterns, format words, masks and codewords.
 
 All modules are +1 light and -1 dark, bit 1 is dark, and a mask is a grid of signs: masking is multiplying.
-A version is 1 to 40 or M1 to M4.  Everything comes from segno's tables and placement, so that the tables of
-ISO/IEC 18004 are not repeated here.
+A version is 1 to 40, M1 to M4 or R7x43 to R17x139; the standards' tables are in `evqr.symbol.qr_tables` and
+`evqr.symbol.rmqr_tables`.
 """
 
 from __future__ import annotations
 
 import functools
 import itertools
-from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Literal
+from types import ModuleType
 
 import numpy as np
 from numpy.typing import NDArray
 
 from evqr.clock import one_time
+from evqr.symbol import qr_tables, rmqr_tables
+from evqr.symbol.qr_tables import ErrorLevel
 from evqr.symbol.reed_solomon import ReedSolomon, Symbols
 from evqr.symbol.space import Version, closed
 
-ErrorLevel = Literal["L", "M", "Q", "H"]
-LEVELS: tuple[ErrorLevel, ...] = ("L", "M", "Q", "H")
-
 QR_FIELD = 0x11D
 """Polynomial of the codewords' field, GF(256)."""
-
-DARK_MODULE = (-8, 8)
-"""Row and column of the module beside the lower left finder pattern that is dark in all QR codes."""
-
-_EMPTY = 2
-"""segno's mark of a module to fill."""
 
 HALF_CODEWORDS = ("M1", "M3")
 """Versions whose last data codeword has four bits."""
 
 
+def _tables(version: Version) -> ModuleType:
+    return rmqr_tables if version in rmqr_tables.SIZES else qr_tables
+
+
 def levels_of(version: Version) -> tuple[ErrorLevel | None, ...]:
     """Return the error correction levels of a version, the weakest first; M1 has one without a name."""
-    from segno import consts
-
-    shapes = consts.ECC[_segno_version(version)]
-    levels: tuple[ErrorLevel | None, ...] = (None, *LEVELS)
-    return tuple(level for level in levels if _segno_level(level) in shapes)
+    return _tables(version).levels_of(version)
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
@@ -51,13 +43,13 @@ class Roles:
 
     Attributes
     ----------
-    known : (r, r) bool
+    known : (V, U) bool
         Function patterns.
-    values : (r, r) int8
+    values : (V, U) int8
         -1 dark, +1 light where known, 0 elsewhere.
-    format : (r, r) bool
+    format : (V, U) bool
         Format information: level and mask.
-    data : (r, r) bool
+    data : (V, U) bool
         Codewords, and the few remainder bits behind the last.
     """
 
@@ -71,42 +63,15 @@ class Roles:
 @one_time()
 def roles_of(version: Version) -> Roles:
     """Return what the modules of a version carry."""
-    from segno import encoder  # here: it takes 20 ms to import
-
-    # as segno makes a symbol, but for what makes it slow: codewords, masks and which of them is the best
-    number = _segno_version(version)
-    size = encoder.calc_matrix_size(number)
-    matrix = encoder.make_matrix(size, size)
-    encoder.add_finder_patterns(matrix, size, size)
-    encoder.add_alignment_patterns(matrix, size, size)
-    encoder.add_version_info(matrix, number)
-    is_data = _array(matrix) == _EMPTY
-    _add_format(matrix, version, levels_of(version)[0], 0)  # with it comes the dark module
-    only_format = encoder.make_matrix(size, size, reserve_regions=False, add_timing=False)
-    _add_format(only_format, version, levels_of(version)[0], 0)
-    is_format = _array(only_format) != _EMPTY
-    if not isinstance(version, str):
-        is_format[DARK_MODULE] = False
-    known = ~(is_format | is_data)
-    values = np.where(_array(matrix) == 1, -1, 1) * known
+    values, is_format = _tables(version).function_patterns(version)
+    values = np.where(is_format, np.int8(0), values)
+    known = values != 0
     return Roles(
         known=closed(known),
-        values=closed(values.astype(np.int8)),
+        values=closed(values),
         format=closed(is_format),
-        data=closed(is_data),
+        data=closed(~(known | is_format)),
     )
-
-
-def _array(matrix: Sequence[bytearray]) -> NDArray[np.uint8]:
-    """Return segno's matrix as an array (r, r)."""
-    return np.frombuffer(b"".join(matrix), np.uint8).reshape(len(matrix), -1)
-
-
-def _add_format(matrix: Sequence[bytearray], version: Version, level: ErrorLevel | None, mask: int) -> None:
-    """Write format information, and the dark module of a QR code, into segno's matrix."""
-    from segno import encoder
-
-    encoder.add_format_info(matrix, _segno_version(version), _segno_level(level), mask)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -182,13 +147,7 @@ class CodewordLayout:
 @one_time()
 def codeword_layout(version: Version, level: ErrorLevel | None) -> CodewordLayout:
     """Return where the codewords of a version and level are."""
-    from segno import consts
-
-    shapes = [
-        (ec.num_data, ec.num_total - ec.num_data)
-        for ec in consts.ECC[_segno_version(version)][_segno_level(level)]
-        for _ in range(ec.num_blocks)
-    ]
+    shapes = _tables(version).block_shapes(version, level)
     # A symbol holds the first data codeword of every block, then the second ..., then the check codewords so.
     data = [(i, b) for b, (n_data, _) in enumerate(shapes) for i in range(n_data)]
     check = [(i, b) for b, (_, n_check) in enumerate(shapes) for i in range(n_check)]
@@ -217,24 +176,19 @@ def codeword_layout(version: Version, level: ErrorLevel | None) -> CodewordLayou
 @functools.cache
 @one_time()
 def mask_signs(version: Version) -> NDArray[np.int8]:
-    """Return the masks, (8, r r) or (4, r r) int8: -1 where a data module is inverted, +1 elsewhere."""
-    from segno import encoder
-
-    data = roles_of(version).data
-    rows, columns = np.indices(data.shape)
-    functions = encoder.get_data_mask_functions(is_micro=isinstance(version, str))
-    masks = np.array([inverts(rows, columns) & data for inverts in functions])
+    """Return the masks (n, V U) int8: -1 where a data module is inverted, +1 elsewhere."""
+    masks = _tables(version).masks_of(version, roles_of(version).data)
     return closed(np.where(masks, -1, 1).astype(np.int8).reshape(len(masks), -1))
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
 class FormatWords:
-    """The words of format information of a version: 32, or those of a Micro QR code's version.
+    """The words of format information of a version: 32, or those of the version.
 
     Attributes
     ----------
     at : (k,) intp
-        Flat module index of each of their modules: 30 in two copies, or 15.
+        Flat module index of each of their modules: 30 in two copies, 15 in one, or 36 in two.
     signs : (n, k) float64
         -1 dark, +1 light.
     meaning : tuple
@@ -254,11 +208,7 @@ def format_words(version: Version) -> FormatWords:
     meaning: tuple[tuple[ErrorLevel | None, int], ...] = tuple(
         (level, mask) for level in levels_of(version) for mask in range(len(mask_signs(version)))
     )
-    words = []
-    for level, mask in meaning:
-        matrix = [bytearray(len(is_format)) for _ in is_format]
-        _add_format(matrix, version, level, mask)
-        words.append(np.where(_array(matrix)[is_format], -1, 1))
+    words = [_tables(version).format_signs(version, *which, is_format) for which in meaning]
     at = np.flatnonzero(is_format)
     return FormatWords(at=closed(at), signs=closed(np.array(words, np.float64)), meaning=meaning)
 
@@ -266,7 +216,7 @@ def format_words(version: Version) -> FormatWords:
 def symbol_of(
     codewords: NDArray[np.uint8], version: Version, level: ErrorLevel | None, mask: int
 ) -> NDArray[np.int8]:
-    """Return the exact symbol, (r, r) int8, that carries some codewords.
+    """Return the exact symbol, (V, U) int8, that carries some codewords.
 
     Parameters
     ----------
@@ -295,7 +245,7 @@ class _Masked:
     ----------
     signs : (8 n,) int8
         Of the mask, in the order of the codewords' bits; 0 for bits that are not printed.
-    symbol : (r r,) int8
+    symbol : (V U,) int8
         All other modules.
     """
 
@@ -321,7 +271,7 @@ def _masked(version: Version, level: ErrorLevel | None, mask: int) -> _Masked:
 def unmasked(
     q: NDArray[np.float64], version: Version, level: ErrorLevel | None, mask: int
 ) -> NDArray[np.float64]:
-    """Return the modules (8 n,) that carry the codewords' bits, the mask undone, of a grid (r, r).
+    """Return the modules (8 n,) that carry the codewords' bits, the mask undone, of a grid (V, U).
 
     Bits that are not printed are 0.
     """
@@ -332,24 +282,4 @@ def unmasked(
 @one_time()
 def _placement(version: Version) -> NDArray[np.intp]:
     """Return the flat indices of the data modules in the order in which codewords fill them."""
-    from segno import encoder
-
-    data = roles_of(version).data
-    # we let segno fill in the number of the bit instead of the bit
-    matrix = np.where(data, _EMPTY, 0).tolist()
-    first = _EMPTY + 1
-    encoder.add_codewords(matrix, range(first, first + np.count_nonzero(data)), _segno_version(version))
-    order = np.argsort(np.array(matrix).ravel())
-    return order[-np.count_nonzero(data) :]
-
-
-def _segno_version(version: Version) -> int:
-    from segno import consts
-
-    return consts.MICRO_VERSION_MAPPING[version] if isinstance(version, str) else version
-
-
-def _segno_level(level: ErrorLevel | None) -> int | None:
-    from segno import consts
-
-    return None if level is None else consts.ERROR_MAPPING[level]
+    return _tables(version).placement(version, roles_of(version).data)

@@ -1,18 +1,25 @@
-"""The segments of a QR or Micro QR code's data (ISO/IEC 18004, 7.4): what zxing-cpp does not pass on.
+"""The segments of data of the QR family (ISO/IEC 18004, 7.4; 23941, 7.4): what zxing-cpp does not pass on.
 
 That is structured append, and which bytes are of which mode.  Bit lengths come from segno's tables.
 """
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
+from types import MappingProxyType
 
+from evqr.symbol import rmqr_tables
 from evqr.symbol.payload import StructuredAppend
 from evqr.symbol.space import Version
 
 FNC1_FIRST = 0b0101
 FNC1_SECOND = 0b1001
+
+_RMQR_MODES: Mapping[int, int] = MappingProxyType(
+    {1: 0b0001, 2: 0b0010, 3: 0b0100, 4: 0b1000, 5: FNC1_FIRST, 6: FNC1_SECOND, 7: 0b0111}
+)
+"""Modes of QR codes by the numbers that they have in rMQR codes."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -101,10 +108,17 @@ def _walk(bits: _Bits, version: Version) -> Iterator[StructuredAppend | Run]:
 
     if isinstance(version, int):
         modes, mode_bits, end_bits, sizes = None, 4, 4, encoder.version_range(version)
+    elif version in rmqr_tables.SIZES:
+        modes, mode_bits, end_bits, sizes = _RMQR_MODES, 3, 3, None
     else:
         micro = int(version[1:])
         modes = {short: mode for mode, short in consts.MODE_TO_MICRO_MODE_MAPPING.items()}
         mode_bits, end_bits, sizes = micro - 1, 2 * micro + 1, consts.MICRO_VERSION_MAPPING[version]
+    if sizes is None:
+        count_bits = rmqr_tables.count_bits(version)
+    else:
+        lengths = consts.CHAR_COUNT_INDICATOR_LENGTH
+        count_bits = {mode: bits[sizes] for mode, bits in lengths.items() if sizes in bits}
     fnc1 = False
     while bits.ahead(min(bits.left, end_bits)):
         mode = bits.take(mode_bits)
@@ -122,9 +136,9 @@ def _walk(bits: _Bits, version: Version) -> Iterator[StructuredAppend | Run]:
         else:
             if mode == consts.MODE_HANZI:
                 bits.take(4)  # which set of characters
-            if mode not in consts.CHAR_COUNT_INDICATOR_LENGTH:
+            if mode not in count_bits:
                 raise ValueError(f"there is no mode {mode}")
-            count = bits.take(consts.CHAR_COUNT_INDICATOR_LENGTH[mode][sizes])
+            count = bits.take(count_bits[mode])
             yield _run(bits, mode, count, fnc1)
 
 

@@ -13,50 +13,10 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from evqr.symbology import Symbology
+
 Version = int | str
 """Of a symbol: 1 to 40 for QR codes, text for others (M2, R11x27, 22x22)."""
-
-
-class Symbology(str, Enum):
-    """Kinds of symbols, by zxing-cpp's names; those that can be read are in `evqr.symbol.symbols`."""
-
-    QR_CODE = "QRCode"
-    MICRO_QR_CODE = "MicroQRCode"
-    RMQR_CODE = "RMQRCode"
-    DATA_MATRIX = "DataMatrix"
-    AZTEC = "Aztec"
-
-    def __str__(self) -> str:
-        return self.value
-
-    @classmethod
-    def parse(cls, name: str) -> Symbology:
-        """Return the symbology of a name, in any case; ``Code`` at its end may be left out.
-
-        Parameters
-        ----------
-        name : str
-            As ``QRCode``, ``microqr``, ``data_matrix``.
-
-        Returns
-        -------
-        Symbology
-            That is called so.
-
-        Raises
-        ------
-        ValueError
-            There is none.
-        """
-        wanted = _plain(name)
-        for symbology in cls:
-            if _plain(symbology.value) == wanted:
-                return symbology
-        raise ValueError(f"symbology must be one of {', '.join(cls)}, got {name!r}")
-
-
-def _plain(name: str) -> str:
-    return "".join(filter(str.isalnum, name.lower())).removesuffix("code")
 
 
 class Landmark(str, Enum):
@@ -98,6 +58,8 @@ class Timing:
     quiet : int
         Modules of quiet zone that are known to lie behind its end; before it, and behind it where there are
         none, is a separator.
+    dark : tuple of int
+        Modules of the line that are dark out of turn, because other patterns cross it.
     """
 
     u: float
@@ -105,6 +67,7 @@ class Timing:
     along_u: bool
     count: int
     quiet: int = 0
+    dark: tuple[int, ...] = ()
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -14,9 +14,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from evqr.config import DecodeConfig
-from evqr.symbol import micro_qr, qr
+from evqr.symbol import micro_qr, qr, rmqr
 from evqr.symbol.decoded import Decoded, DecodeFailure, Effort
-from evqr.symbol.space import Anchor, CodeSpace, Symbology, Timing, Version
+from evqr.symbol.space import Anchor, CodeSpace, Timing, Version
+from evqr.symbology import Symbology
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -56,6 +57,9 @@ SYMBOLS: Mapping[Symbology, Symbol] = MappingProxyType(
             timing=micro_qr.timing,
             space=micro_qr.space,
             decode=micro_qr.decode,
+        ),
+        Symbology.RMQR_CODE: Symbol(
+            sizes=rmqr.SIZES, anchors=rmqr.anchors, timing=rmqr.timing, space=rmqr.space, decode=rmqr.decode
         ),
     }
 )

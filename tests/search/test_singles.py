@@ -4,15 +4,15 @@ import numpy as np
 import pytest
 from scenes import at, corners, middle_us, motion_at, scene, window_of
 
-from evqr.config import AlignConfig, FinderConfig
+from evqr.config import AlignConfig, FinderConfig, ReadConfig
 from evqr.events.batch import EventBatch
 from evqr.search.finder import find_patterns
-from evqr.search.models import sizes
+from evqr.search.models import kinds_of, sizes
 from evqr.search.score import score
 from evqr.search.singles import QUARTERS, SHIFTS, codes_of_singles
 from evqr.simulate import CodePlacement
 
-ALIGN, FINDER = AlignConfig(), FinderConfig()
+ALIGN, FINDER, SYMBOLOGIES = AlignConfig(), FinderConfig(), ReadConfig().symbologies
 TEXTS = {"M1": "40961", "M2": "DEV-55", "M3": "EVQR-07", "M4": "HELLO-EVQR-7"}
 
 
@@ -34,6 +34,7 @@ def searched(version, angle, workspace, **options):
         np.tile(motion.direction, (len(which), 1)),
         pyramid,
         ALIGN,
+        SYMBOLOGIES,
         workspace=workspace,
     )
     everyone = np.zeros(len(hypotheses), np.intp)
@@ -43,7 +44,7 @@ def searched(version, angle, workspace, **options):
 
 def test_a_peak_makes_every_size_in_four_directions_about_one_place(workspace):
     which, hypotheses, _, _ = searched("M2", 20.0, workspace)
-    single = [k for k, size in enumerate(sizes()) if len(size.anchors) == 1]
+    single = [k for k in np.flatnonzero(kinds_of(SYMBOLOGIES)) if len(sizes()[k].anchors) == 1]
     assert len(hypotheses) == len(which) * len(single) * QUARTERS * SHIFTS
     for peak in which:
         mine = hypotheses[(hypotheses.peaks == peak).all(axis=1)]

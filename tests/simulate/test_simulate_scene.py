@@ -11,7 +11,7 @@ from evqr.simulate import PRESETS, CodePlacement, SceneConfig, SensorConfig, shu
 from evqr.simulate.geometry import code_corners, plan_motion, transform
 from evqr.simulate.printed import make_symbol
 from evqr.simulate.texture import gaussian_blur
-from evqr.symbol import micro_qr
+from evqr.symbol import micro_qr, rmqr
 from evqr.symbol.decode import decode_grid
 from evqr.symbol.decoded import Decoded
 
@@ -127,6 +127,21 @@ def test_micro_qr_codes_are_printed_too(options, version, level, size):
 
 
 @pytest.mark.parametrize(
+    ("options", "version", "shape"),
+    [({"ec": "H"}, "R13x27", (13, 27)), ({"version": "R7x43"}, "R7x43", (7, 43))],
+)
+def test_rmqr_codes_are_printed_too(options, version, shape):
+    made = simulate(**{**SMALL, **options, "module_px": 4.0}, symbology="rmqr")
+    truth = made.truth["truth"]
+    assert (truth["symbology"], truth["version"], truth["mask"]) == ("RMQRCode", version, -1)
+    assert truth["ec_level"] == options.get("ec", "M")
+    assert (truth["rows"], truth["cols"]) == truth["modules"].shape == shape
+    decoded = decode_grid(1.0 - 2.0 * truth["modules"], rmqr.space(version))
+    assert isinstance(decoded, Decoded) and decoded.text == "EVQR-07"
+    assert correlation(made, truth) > 0.8
+
+
+@pytest.mark.parametrize(
     ("options", "message"),
     [
         ({"symbology": "Code39"}, "symbology must be one of QRCode"),
@@ -138,6 +153,13 @@ def test_micro_qr_codes_are_printed_too(options, version, level, size):
         ({"symbology": "microqr", "ec": "H"}, "MicroQRCode cannot say 'EVQR-07': Error correction"),
         ({"symbology": "microqr", "version": "M1", "text": "A"}, "does not fit version M1"),
         ({"symbology": "microqr", "text": "A" * 40}, "does not fit any version at level M"),
+        ({"symbology": "rmqr", "text": "A" * 40, "version": "R7x43"}, "not fit version R7x43 at level M"),
+        ({"symbology": "rmqr", "ec": "L"}, "RMQRCode cannot say 'EVQR-07': Error 576"),
+        (
+            {"symbology": "rmqr", "mask": 0},
+            "mask is 0, but must be left out: RMQRCode has none to",
+        ),
+        ({"symbology": "rmqr", "charset": "utf-8"}, "charset is 'utf-8', but must be left out for RMQRCode"),
     ],
 )
 def test_symbols_that_cannot_be_printed(options, message):

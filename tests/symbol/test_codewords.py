@@ -6,7 +6,8 @@ import reedsolo
 import segno
 from segno import consts
 
-from evqr.symbol.qr_codewords import LEVELS, codeword_layout, format_words, mask_signs, roles_of, symbol_of
+from evqr.symbol.qr_codewords import codeword_layout, format_words, mask_signs, roles_of, symbol_of
+from evqr.symbol.qr_tables import LEVELS
 
 
 def make(version, level, mask, text="evqr"):

@@ -16,7 +16,8 @@ from evqr.reason import Reason
 from evqr.symbol import qr
 from evqr.symbol.decode import decode_grid as decode_space
 from evqr.symbol.decoded import Decoded, DecodeFailure
-from evqr.symbol.qr_codewords import LEVELS, codeword_layout, format_words, mask_signs, roles_of, symbol_of
+from evqr.symbol.qr_codewords import codeword_layout, format_words, mask_signs, roles_of, symbol_of
+from evqr.symbol.qr_tables import LEVELS
 
 
 def decode_grid(q, **options):

@@ -207,7 +207,7 @@ def test_micro_versions_that_do_not_exist(version):
 
 
 def test_symbologies_that_cannot_be_read():
-    with pytest.raises(ValueError, match="symbology must be one of QRCode, MicroQRCode, got MaxiCode"):
+    with pytest.raises(ValueError, match=r"symbology must be one of QRCode, .*, got MaxiCode"):
         symbols.space_of("MaxiCode", "1")
 
 
