@@ -258,19 +258,24 @@ class EventRoom:
         self._staging = Staging(workspace)
         self._mirrors = [self._staging.input((capacity,), each) for each in (np.uint16, np.uint16, np.uint32)]
         self.x, self.y, self.stamp = (mirror.device for mirror in self._mirrors)
-        self._events: PackedEvents | None = None
+        self._parts: tuple[PackedEvents, ...] = ()
 
-    def load(self, events: PackedEvents) -> None:
-        """Bring events there, unless they are there already, alone or the first of more."""
-        if self._events is not None and events.begin(self._events):
+    def load(self, batch: EventBatch) -> None:
+        """Bring the events of a batch there, unless they are there already, alone or the first of more."""
+        parts = batch.parts
+        if parts is self._parts:
             return
-        self._events = events
-        for mirror, values in zip(self._mirrors, (events.x, events.y, events.stamp), strict=True):
-            mirror.host[: len(events)] = values
-        columns = self._mirrors
-        together = self.capacity - len(events) <= LARGEST_GAP + len(events) // 8
-        for first, last in [(columns[0], columns[-1])] if together else zip(columns, columns, strict=True):
-            self._staging.push_rows(first, last, len(events))
+        if len(parts) == len(self._parts) == 1 and parts[0].begin(self._parts[0]):
+            return
+        self._parts, columns = parts, self._mirrors
+        x, y, stamp = (mirror.host for mirror in columns)
+        end = 0
+        for part in parts:
+            first, end = end, end + len(part)
+            x[first:end], y[first:end], stamp[first:end] = part.x, part.y, part.stamp
+        together = self.capacity - end <= LARGEST_GAP + end // 8
+        for begin, last in [(columns[0], columns[-1])] if together else zip(columns, columns, strict=True):
+            self._staging.push_rows(begin, last, end)
 
 
 class Workspace(Keeper):
@@ -311,11 +316,11 @@ class Workspace(Keeper):
 
         They are brought there once for all that `EventBatch.pick` makes of it.
         """
-        count = len(batch.events)
+        count = batch.n_events
         if count > self._room.capacity:
             step = 1 << (count - 1).bit_length() - (0 if count <= MANY_EVENTS else 4)
             self._room = EventRoom(self, -(-count // step) * step)
-        self._room.load(batch.events)
+        self._room.load(batch)
         return self._room
 
     def put(self, array: NDArray[Any]) -> Any:

@@ -317,7 +317,11 @@ class Scene:
     def window(self) -> Window:
         """Events of its own, as of another camera."""
         shared = self.buffers[0].window(self.start_us, self.start_us + self.length_us)
-        return Window(shared.events, shared.start_us, shared.end_us)
+        return self.again(shared)
+
+    def again(self, window: Window) -> Window:
+        """Give a window whose events, packed when they were pushed to a buffer, are to go up again."""
+        return Window(window.events, window.start_us, window.end_us, stamps=window.packed.stamp)
 
 
 def make_scene(solver: Solver, n_events: int) -> Scene:
@@ -344,7 +348,7 @@ def follow(scene: Scene, windows: int, solver: Solver) -> Callable[[], list[Any]
     cut = [scene.window for _ in range(windows)]
 
     def run() -> list[Any]:
-        fresh = [Window(each.events, each.start_us, each.end_us) for each in cut]  # events are to go up again
+        fresh = [scene.again(each) for each in cut]
         found = solver.follow(EventBatch.of(fresh), [scene.before] * windows)
         seen = [each for each in found if isinstance(each, Detection)]
         return list(zip(solver.solve(seen), seen, strict=True))
@@ -357,7 +361,7 @@ def find(scene: Scene, windows: int, solver: Solver) -> Callable[[], list[Any]]:
     cut = [scene.window for _ in range(windows)]
 
     def run() -> list[Any]:
-        fresh = [Window(each.events, each.start_us, each.end_us) for each in cut]  # events are to go up again
+        fresh = [scene.again(each) for each in cut]
         cfg, workspace = solver.config.motion, solver.workspace
         estimate_motions(fresh, cfg, workspace=workspace, reduction=cfg.reduction)
         moving = estimate_motions(fresh, cfg, workspace=workspace)

@@ -9,6 +9,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 from numpy.typing import NDArray
@@ -28,8 +29,9 @@ class EventBatch:
     ----------
     windows : tuple of Window
         Where each comes from; they may overlap, and may be of different sensors.
-    events : PackedEvents
-        The events of all; those that several windows of a stream share are there once.
+    parts : tuple of PackedEvents
+        The events of all, one part behind the other; those that several windows of a stream share are there
+        once.
     window_ptr : (B, 2) int32
         First event of each window, and the one behind its last.
     t_ref_us : (B,) int32 [us]
@@ -37,7 +39,7 @@ class EventBatch:
     """
 
     windows: tuple[Window, ...]
-    events: PackedEvents
+    parts: tuple[PackedEvents, ...]
     window_ptr: NDArray[np.int32]
     t_ref_us: NDArray[np.int32]
 
@@ -67,17 +69,27 @@ class EventBatch:
         t_ref_us = np.array([window.middle_us % (1 << 31) for window in windows], np.int32)
         if len(windows) == 1:  # most often, and then this is a share of a followed window's time
             events = windows[0].packed
-            return cls(tuple(windows), events, np.array([(0, len(events))], np.int32), t_ref_us)
+            return cls(tuple(windows), (events,), np.array([(0, len(events))], np.int32), t_ref_us)
         window_ptr = np.zeros((len(windows), 2), np.int32)
         stretches, begin = _stretches(windows), 0
         for stretch in stretches:
             for k, offset in stretch.members:
                 window_ptr[k] = begin + offset, begin + offset + len(windows[k])
             begin += stretch.count
-        return cls(tuple(windows), _together(stretches, windows), window_ptr, t_ref_us)
+        return cls(tuple(windows), _parts(stretches, windows), window_ptr, t_ref_us)
 
     def __len__(self) -> int:
         return len(self.windows)
+
+    @cached_property
+    def n_events(self) -> int:
+        """How many events there are."""
+        return sum(map(len, self.parts))
+
+    @property
+    def events(self) -> PackedEvents:
+        """All of them in columns; copies, where there are several parts."""
+        return PackedEvents.joined(self.parts)
 
     def pick(self, which: Sequence[int]) -> EventBatch:
         """Give some of the windows, any of them any number of times, over the same events.
@@ -95,7 +107,7 @@ class EventBatch:
         places = list(which)
         return EventBatch(
             tuple(self.windows[k] for k in places),
-            self.events,
+            self.parts,
             self.window_ptr[places],
             self.t_ref_us[places],
         )
@@ -135,22 +147,17 @@ def _stretches(windows: Sequence[Window]) -> list[_Stretch]:
     return found
 
 
-def _together(stretches: Sequence[_Stretch], windows: Sequence[Window]) -> PackedEvents:
-    """Give the events of stretches, one behind the other; those of a window that has them all as they are."""
-    total, begin = sum(stretch.count for stretch in stretches), 0
+def _parts(stretches: Sequence[_Stretch], windows: Sequence[Window]) -> tuple[PackedEvents, ...]:
+    """Give the events of stretches, those of a window without what the ones before it have."""
+    parts: list[PackedEvents] = []
     for stretch in stretches:
-        for k, _ in stretch.members:
-            if len(windows[k]) == total:
-                return windows[k].packed
-    x, y = np.empty((2, total), np.uint16)
-    stamp = np.empty(total, np.uint32)
-    for stretch in stretches:
-        copied = begin
-        for k, offset in stretch.members:
-            packed, skip = windows[k].packed, copied - begin - offset
-            if len(packed) > skip:  # the first of these may be there, from the window before
-                new = slice(copied, begin + offset + len(packed))
-                x[new], y[new], stamp[new] = packed.x[skip:], packed.y[skip:], packed.stamp[skip:]
-                copied = new.stop
-        begin += stretch.count
-    return PackedEvents(x, y, stamp)
+        # one that has all of them gives them as they are, and says where they come from
+        whole = [k for k, _ in stretch.members if len(windows[k]) == stretch.count]
+        copied = 0
+        for k, offset in [(whole[0], 0)] if whole else stretch.members:
+            packed = windows[k].packed
+            skip = copied - offset
+            if len(packed) > skip:
+                parts.append(packed.after(skip))
+                copied = offset + len(packed)
+    return tuple(parts)

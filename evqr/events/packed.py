@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -32,6 +33,23 @@ class PackedEvents:
 
     def __len__(self) -> int:
         return len(self.stamp)
+
+    @classmethod
+    def joined(cls, parts: Sequence[PackedEvents]) -> PackedEvents:
+        """Give the events of parts, one behind the other; those of one part as they are."""
+        if len(parts) == 1:
+            return parts[0]
+        columns = (
+            [np.zeros(0, dtype), *(getattr(part, name) for part in parts)]
+            for name, dtype in (("x", np.uint16), ("y", np.uint16), ("stamp", np.uint32))
+        )
+        return cls(*map(np.concatenate, columns))
+
+    def after(self, count: int) -> PackedEvents:
+        """Give them without the first ones: views."""
+        if not count:
+            return self
+        return PackedEvents(self.x[count:], self.y[count:], self.stamp[count:])
 
     def begin(self, others: PackedEvents) -> bool:
         """Tell whether these are the first of others, or all of them.

@@ -66,7 +66,7 @@ def test_picked_windows_share_the_events():
     buffer = EventBuffer.of(stream(4))
     batch = EventBatch.of([buffer.window(0, 200), buffer.window(100, 500)])
     picked = batch.pick([1, 1, 0])
-    assert picked.events is batch.events
+    assert picked.parts is batch.parts
     assert picked.windows == (batch.windows[1], batch.windows[1], batch.windows[0])
     np.testing.assert_array_equal(picked.window_ptr, batch.window_ptr[[1, 1, 0]])
     np.testing.assert_array_equal(picked.t_ref_us, batch.t_ref_us[[1, 1, 0]])

@@ -111,7 +111,7 @@ def test_events_are_copied_at_once_or_where_few_are_there_by_column():
     def copies(count):
         one = np.full(count, count % 60_000, np.uint16)
         events = PackedEvents(one, one + np.uint16(1), one.astype(np.uint32) + 2)
-        batch = EventBatch((), events, np.zeros((0, 2), np.int32), np.zeros(0, np.int32))
+        batch = EventBatch((), (events,), np.zeros((0, 2), np.int32), np.zeros(0, np.int32))
         backend.counts = counting.Counts()
         room = workspace.events(batch)
         for column, values in ((room.x, events.x), (room.y, events.y), (room.stamp, events.stamp)):

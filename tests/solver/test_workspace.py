@@ -107,7 +107,7 @@ def test_large_room_grows_in_smaller_steps(workspace, monkeypatch):
         workspace = Workspace(workspace.backend, "cpu")
         one = np.ones(count, np.uint16)
         packed = PackedEvents(one, one, one.astype(np.uint32))
-        batch = EventBatch((), packed, np.zeros((0, 2), np.int32), np.zeros(0, np.int32))
+        batch = EventBatch((), (packed,), np.zeros((0, 2), np.int32), np.zeros(0, np.int32))
         assert workspace.events(batch).capacity == capacity
 
 
