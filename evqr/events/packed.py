@@ -39,11 +39,11 @@ class PackedEvents:
         """Give the events of parts, one behind the other; those of one part as they are."""
         if len(parts) == 1:
             return parts[0]
-        columns = (
-            [np.zeros(0, dtype), *(getattr(part, name) for part in parts)]
+        x, y, stamp = (
+            np.concatenate([np.zeros(0, dtype), *(getattr(part, name) for part in parts)])
             for name, dtype in (("x", np.uint16), ("y", np.uint16), ("stamp", np.uint32))
         )
-        return cls(*map(np.concatenate, columns))
+        return cls(x, y, stamp)
 
     def after(self, count: int) -> PackedEvents:
         """Give them without the first ones: views."""
