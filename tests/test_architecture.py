@@ -22,7 +22,7 @@ FLOORS = (
     ("stream",),
     ("offline",),
     ("many", "output", "demo"),
-    ("archive",),
+    ("archive", "sinks"),
     ("cli",),
     ("paper",),
     ("main",),

@@ -29,6 +29,7 @@ EXTRAS = {
     "torch": ("torch",),
     "jax": ("jax",),
     "distributed": ("distributed",),
+    "line": ("paho", "httpx"),
 }
 """Extras, and the modules that they bring."""
 

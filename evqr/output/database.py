@@ -3,28 +3,21 @@
 from __future__ import annotations
 
 import os
-import sqlite3
 from collections.abc import Iterator, Mapping, Sequence
-from contextlib import contextmanager
 from datetime import datetime, timezone
 from importlib.metadata import version
 from os import PathLike
 from pathlib import Path
-from types import TracebackType
 from typing import Any
 
 from evqr.errors import UsageError
 from evqr.output.records import result_records
+from evqr.output.sqlite_file import SqliteFile
 from evqr.results import CodeReading, ReadResult, ReadStatus
 from evqr.values import json_line
 
 APPLICATION_ID = 0x65767172
-"""By which a SQLite file says that it is one of ours: "evqr"."""
-
-SCHEMA_VERSION = 1
-
-WAIT_S = 30.0
-"""How long to wait for another process that writes to the same file [s]."""
+"""By which a SQLite file says that it is of readings: "evqr"."""
 
 SCHEMA = """
 CREATE TABLE settings (given TEXT NOT NULL);
@@ -86,8 +79,7 @@ DONE = """UPDATE recordings SET
 class ReadingsDatabase:
     """A SQLite file of recordings and the parts in them; a context manager.
 
-    A recording's rows are written together, or not at all, whatever ends the program.  Other programs may
-    read the file meanwhile.
+    A recording's rows are written together, or not at all, whatever ends the program.
 
     Parameters
     ----------
@@ -104,50 +96,27 @@ class ReadingsDatabase:
     """
 
     def __init__(self, path: str | PathLike[str], settings: Mapping[str, Any]) -> None:
-        self.path = Path(path)
+        self._file = SqliteFile(path, application_id=APPLICATION_ID, what="readings", migrations=(SCHEMA,))
+        self._db = self._file.db
         given = json_line(settings)
-        with self._checked():
-            self._open = sqlite3.connect(self.path, timeout=WAIT_S, isolation_level=None)
-            try:
-                self._begin(given)
-            except BaseException:
-                self._open.close()
-                raise
-
-    def _begin(self, given: str) -> None:
-        """See whether the file is ours, or make it so."""
-        db = self._open
-        db.execute("PRAGMA foreign_keys = ON")
-        with self._together():
-            application, schema = (
-                db.execute(f"PRAGMA {of}").fetchone()[0] for of in ("application_id", "user_version")
-            )
-            if not db.execute("SELECT count(*) FROM sqlite_master").fetchone()[0]:
-                for statement in SCHEMA.split(";"):
-                    db.execute(statement)
-                db.execute("INSERT INTO settings VALUES (?)", (given,))
-                db.execute(f"PRAGMA application_id = {APPLICATION_ID}")
-                db.execute(f"PRAGMA user_version = {SCHEMA_VERSION}")
-            elif application != APPLICATION_ID:
-                raise UsageError(f"{self.path}: is a database, but none of readings; name another file")
-            elif schema != SCHEMA_VERSION:
+        try:
+            with self._file.together():
+                if self._file.made:
+                    self._db.execute("INSERT INTO settings VALUES (?)", (given,))
+                (before,) = self._db.execute("SELECT given FROM settings").fetchone()
+            if before != given:
                 raise UsageError(
-                    f"{self.path}: has schema {schema}, this evqr writes {SCHEMA_VERSION}; name another file"
+                    f"{path}: was made with settings {before}, not {given}; use those, or name another file"
                 )
-            elif (before := db.execute("SELECT given FROM settings").fetchone()[0]) != given:
-                raise UsageError(
-                    f"{self.path}: was made with settings {before}, not {given};"
-                    " use those, or name another file"
-                )
-        db.execute("PRAGMA journal_mode = WAL")
+        except BaseException:
+            self._file.close()
+            raise
 
     def __enter__(self) -> ReadingsDatabase:
         return self
 
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
-    ) -> None:
-        self._open.close()
+    def __exit__(self, *failure: object) -> None:
+        self._file.close()
 
     def pending(self, recordings: Sequence[Path]) -> list[Path]:
         """Take recordings in, and say which are still to be read.
@@ -162,13 +131,13 @@ class ReadingsDatabase:
         pending : list of Path
             Those that were not read yet, have changed since, or could not be read then.
         """
-        with self._checked(), self._together():
-            self._open.executemany(
+        with self._file.together():
+            self._db.executemany(
                 "INSERT OR IGNORE INTO recordings (path) VALUES (?)", [(_key(path),) for path in recordings]
             )
             known = {
                 path: (size, modified_ns)
-                for path, size, modified_ns in self._open.execute(
+                for path, size, modified_ns in self._db.execute(
                     "SELECT path, size, modified_ns FROM recordings WHERE status IN (?, ?)",
                     (ReadStatus.READ.value, ReadStatus.NO_READ.value),
                 )
@@ -187,13 +156,11 @@ class ReadingsDatabase:
         """
         size, modified_ns = _stamp(path)
         seen = result.seen
-        with self._checked(), self._together():
-            (number,) = self._open.execute(
-                "SELECT id FROM recordings WHERE path = ?", (_key(path),)
-            ).fetchone()
-            self._open.execute("DELETE FROM parts WHERE recording = ?", (number,))
-            self._open.executemany(PART, _parts(number, result))
-            self._open.execute(
+        with self._file.together():
+            (number,) = self._db.execute("SELECT id FROM recordings WHERE path = ?", (_key(path),)).fetchone()
+            self._db.execute("DELETE FROM parts WHERE recording = ?", (number,))
+            self._db.executemany(PART, _parts(number, result))
+            self._db.execute(
                 DONE,
                 {
                     "path": _key(path),
@@ -214,34 +181,12 @@ class ReadingsDatabase:
 
     def statuses(self, recordings: Sequence[Path]) -> list[tuple[ReadStatus, str | None]]:
         """Give status and code of the reason of recordings that were read, in their order."""
-        with self._checked():
-            rows = {path: rest for path, *rest in self._open.execute(
+        with self._file.checked():
+            rows = {path: rest for path, *rest in self._db.execute(
                 "SELECT path, status, reason_code FROM recordings WHERE status IS NOT NULL"
             )}  # fmt: skip
         found = (rows[_key(path)] for path in recordings if _key(path) in rows)
         return [(ReadStatus(status), reason_code) for status, reason_code in found]
-
-    @contextmanager
-    def _together(self) -> Iterator[None]:
-        """All of it, or nothing."""
-        self._open.execute("BEGIN IMMEDIATE")
-        try:
-            yield
-        except BaseException:
-            if self._open.in_transaction:  # a full disk has ended it already
-                self._open.execute("ROLLBACK")
-            raise
-        self._open.execute("COMMIT")
-
-    @contextmanager
-    def _checked(self) -> Iterator[None]:
-        """Say in a line what SQLite finds wrong with the file."""
-        try:
-            yield
-        except sqlite3.DatabaseError as error:
-            raise UsageError(
-                f"{self.path}: cannot be used as a database ({error}); name another file"
-            ) from error
 
 
 def _parts(number: int, result: ReadResult) -> Iterator[dict[str, Any]]:
