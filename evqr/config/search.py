@@ -129,7 +129,7 @@ class FinderConfig(Settings):
         Codes with several finder patterns that are scored in a window. Chosen.
     min_match : float
         Mean correlation with finder patterns and timing that a code needs to be looked at closely, -1 to 1.
-        Chosen: codes were seen to have 0.43 and more, one on a cylinder 0.26, what is none mostly less.
+        Chosen: codes were seen to have 0.43 and more, what is none mostly less.
     clear_match : float
         The same with which one is clearly a code: others are looked at only where there is none. Chosen.
     tries : int
@@ -171,7 +171,7 @@ class FinderConfig(Settings):
     angle_tolerance: Annotated[float, Range(above=0.0, most=0.25 * math.pi)] = 0.24
     first_hypotheses: Count = 64
     hypotheses: Count = 2048
-    min_match: Annotated[float, Range(least=-1.0, most=1.0)] = 0.25
+    min_match: Annotated[float, Range(least=-1.0, most=1.0)] = 0.35
     clear_match: Annotated[float, Range(least=-1.0, most=1.0)] = 0.5
     tries: Count = 4
     single_patterns: Annotated[int, Range(least=0, most=1024)] = 8

@@ -20,6 +20,9 @@ class SchedulerConfig(Settings):
         Longest time between two searches. Chosen: what is in view now may be slow, and a fast code may come.
     seldom : float
         How much less often is searched while a code that was read is followed. Chosen.
+    most_seldom : float
+        How much less often is searched at most: half as often after each search in which something moved and
+        no code was found. Chosen: a code that enters the image is found within 40 px.
     codes_a_search : int
         Codes that one search finds at most. Chosen.
     margin_modules : float [modules]
@@ -45,6 +48,7 @@ class SchedulerConfig(Settings):
     unknown_us: Count = 2_000
     longest_us: Count = 20_000
     seldom: Annotated[float, Range(least=1.0)] = 2.0
+    most_seldom: Annotated[float, Range(least=1.0)] = 4.0
     codes_a_search: Count = 16
     margin_modules: NotNegative = 4.0
     same_place: Positive = 0.5

@@ -348,7 +348,8 @@ def motion_probes(
         To be answered with what `estimate_motions` gives for it.
     """
     length, quiet = cfg.probe_us, quiet or QuietSpells()
-    for _ in range(0 if guess is not None else MOST_PROBES):
+    cold = guess is None
+    for _ in range(MOST_PROBES if cold else 0):
         if not quiet.covers(start_us, length):
             # what is so fast that halves of the shortest window are far apart is no better seen in a longer
             coarse = yield Probe(start_us, start_us + length, cfg.reduction, length == cfg.probe_us)
@@ -361,8 +362,11 @@ def motion_probes(
         length = min(LONGER * length, cfg.longest_us)
     if guess is None:
         return Reason.NOTHING_MOVES
-    length = guess.window_us(cfg.travel_px, longest_us=cfg.longest_us)
-    return (yield Probe(start_us, start_us + length, 1, False))
+    end_us = start_us + guess.window_us(cfg.travel_px, longest_us=cfg.longest_us)
+    found = yield Probe(start_us, end_us, 1, False)
+    if cold and not isinstance(found, MotionEstimate):
+        quiet.add(start_us, length)  # what moves comes late in the window, and shorter ones will show it
+    return found
 
 
 def find_motion(

@@ -101,7 +101,7 @@ class StreamScheduler:
         self._quiet = QuietSpells()
         self._tau_us: tuple[float, float] | None = None
         self._clock = StageClock()
-        self._windows = self._searches = 0
+        self._windows = self._searches = self._vain = 0
         self._unread = UnreadCodes(self._config)
         self._ended: tuple[int, int] | None = None
 
@@ -267,10 +267,12 @@ class StreamScheduler:
             self._searches += 1
             self._windows += tried.window is not None
             self._take(tried)
+            vain = tried.window is not None and isinstance(tried.found, NotFound)
+            self._vain = self._vain + 1 if vain else 0
         motion, start_us = tries[last].motion, tries[last].start_us
+        self._motion = motion
         if motion is None:
             return start_us + self._config.scheduler.unknown_us
-        self._motion = motion
         return start_us + self._step_us(motion)
 
     def _tries(self, at_us: int) -> Asking[list[_Try]]:
@@ -289,7 +291,8 @@ class StreamScheduler:
         """Time between two searches [us]."""
         cfg = self._config.scheduler
         sure = any(track.reading is not None for track in self._tracks)
-        travel = self._config.search_px * (cfg.seldom if sure else 1.0)
+        times = (cfg.seldom if sure else 1.0) * 2.0 ** min(max(self._vain - 1, 0), 16)
+        travel = self._config.search_px * min(times, cfg.most_seldom)
         step = max(self._solver.window_us(motion), round(motion.travel_time_us(travel)))
         return min(step, cfg.longest_us)
 

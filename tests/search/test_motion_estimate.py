@@ -2,7 +2,7 @@
 
 import numpy as np
 import pytest
-from scenes import noise, scene, window_of
+from scenes import joined, noise, scene, window_of
 
 from evqr.config import MotionConfig
 from evqr.events.array import EventArray
@@ -235,6 +235,18 @@ def test_long_windows_that_showed_nothing_are_not_looked_at_again_soon(workspace
         asked.append(lengths)
     every = [1, 4, 16, 50]
     assert asked == [every, [1, 4], [1, 4, 16], [1, 4, 16], every, every]
+
+
+def test_what_comes_late_in_a_long_window_is_left_to_shorter_ones(workspace):
+    made, _ = small(direction=50.0, travel_px=20.0, speed_px_ms=1.5)
+    before = noise(6_000, 20_000, width=200, height=160)
+    buffer, quiet = EventBuffer.of(joined(before, made.events, before, before)), QuietSpells()
+    (coarse,) = estimate_motions(
+        [buffer.window(0, 50_000)], CONFIG, workspace=workspace, reduction=4, thorough=False
+    )
+    assert isinstance(coarse, MotionEstimate)
+    assert buffer.answer(find_motion(0, CONFIG, workspace=workspace, quiet=quiet)) is Reason.NOTHING_MOVES
+    assert quiet.covers(1, 50_000)
 
 
 def test_an_answer_is_the_same_every_time(workspace):

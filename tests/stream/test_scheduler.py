@@ -180,6 +180,37 @@ def test_a_search_that_waits_for_a_long_window_holds_up_no_code_that_is_followed
     pytest.fail("still followed")
 
 
+class Vain:
+    """A solver that finds no code: something moves at 4 px/ms, but for one search."""
+
+    def __init__(self, still):
+        self.config, self.still, self.guesses = ReadConfig(), still, []
+
+    def window_us(self, motion):
+        return 100
+
+    def motion_at(self, start_us, *, guess=None, quiet=None):
+        self.guesses.append(guess is not None)
+        yield start_us, start_us + 100
+        if len(self.guesses) in self.still:
+            return NotFound(Reason.NOTHING_MOVES)
+        return MotionEstimate(Motion([4_000.0, 0.0]), 0.5)
+
+    def find(self, batch, motions, *, tau_us=None):
+        return [NotFound(Reason.DISAGREES)]
+
+
+def test_searches_in_vain_become_rarer_until_something_changes():
+    solver = Vain(still=(7, 8))  # from a guess and without: one search
+    events = noise(60_000, 70_000, width=64, height=48)
+    records, _ = records_of([events], solver)
+    starts = [record.start_us for record in kinds(records, Searched)]
+    # 10, 10, 20 and 40 px at 4 px/ms; where nothing moved what is known of the motion is forgotten
+    gaps = [2_500, 2_500 * 2, 10_000, 10_000, 10_000, 10_000, 2_000, 2_500, 5_000, 10_000]
+    assert np.diff(starts)[: len(gaps)].tolist() == gaps
+    assert solver.guesses[:10] == [False, *[True] * 6, False, False, True]
+
+
 def test_time_that_passes_without_events_lets_a_code_leave(solver):
     """A belt that stops: no event comes any more, but the line must hear that the code is gone."""
     events = scene(travel_px=16.0, version=1).events
