@@ -22,7 +22,7 @@ FLOORS = (
     ("stream",),
     ("offline",),
     ("many", "output", "demo"),
-    ("archive", "sinks"),
+    ("archive", "sinks", "live"),
     ("cli",),
     ("paper",),
     ("main",),

@@ -1,0 +1,101 @@
+"""EVT3 as a camera sends it, header and words: events by the package evt3, triggers beside them."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+
+import numpy as np
+from numpy.typing import NDArray
+
+from evqr.errors import RecordingError
+from evqr.live.pieces import Events, Piece, Sensor, TriggerSeen
+from evqr.recording.declared import DeclaredSensor
+from evqr.recording.extras import required
+from evqr.recording.prophesee import MAX_HEADER_BYTES, PropheseeHeader, parse_header
+from evqr.recording.source import RawColumns, explained
+
+WORD = np.dtype("<u2")
+TIME_LOW, TIME_HIGH, TRIGGER = 0x6, 0x8, 0xA
+PAYLOAD = 0xFFF
+LOOP_US = 1 << 24
+"""The times in words go round after so many microseconds."""
+
+HEADER_END = b"% end\n"
+
+
+class Evt3Decoder:
+    """Decodes a stream as its bytes come.
+
+    Words of type EXT_TRIGGER have the number of their line and its new level (openeb,
+    ``evt3_event_types.h``). A line that rises starts a gate, and one that falls ends it.
+
+    Parameters
+    ----------
+    name : str
+        The source, for messages.
+    """
+
+    def __init__(self, name: str) -> None:
+        self._name = name
+        self._evt3 = required("evt3", name, "EVT3")
+        self._decoder = self._evt3.Decoder()
+        self._head: bytes | None = b""  # until it is whole
+        self._rest = b""
+        self._low = self._high = self._loops = 0
+
+    def feed(self, data: bytes) -> Iterator[Piece]:
+        """Take bytes; give what is whole.
+
+        Raises
+        ------
+        RecordingError
+            They are no EVT3, or do not say of which sensor.
+        """
+        if self._head is not None:
+            self._head += data
+            found = self._header(self._head)
+            if found is None:
+                return
+            sensor, data = found
+            self._head = None
+            yield sensor
+        data = self._rest + data
+        whole = len(data) - len(data) % WORD.itemsize
+        data, self._rest = data[:whole], data[whole:]
+        if not data:
+            return
+        yield from self._triggers(np.frombuffer(data, WORD))
+        with explained(self._name, "EVT3 data", "see what sends it"):
+            events = self._decoder.feed(data)
+        if len(events.timestamp):
+            yield Events(RawColumns(events.timestamp, events.x, events.y, events.polarity))
+
+    def _header(self, head: bytes) -> tuple[Sensor, bytes] | None:
+        """Read the header; None while it is not whole."""
+        if HEADER_END not in head:
+            if len(head) > MAX_HEADER_BYTES:
+                raise RecordingError(f"{self._name}: no end of the header in {len(head)} bytes; send '% end'")
+            return None
+        header = PropheseeHeader(head)
+        _, size = parse_header(head)
+        if header.encoding != "EVT3":
+            raise RecordingError(
+                f"{self._name}: sends {header.encoding}; only EVT3 can be read from a stream"
+            )
+        if not isinstance(header.sensor, DeclaredSensor):
+            raise RecordingError(f"{self._name}: its header has no size of the sensor; send '% geometry WxH'")
+        width, height = header.sensor.size
+        return Sensor(width, height), head[size:]
+
+    def _triggers(self, words: NDArray[np.uint16]) -> Iterator[TriggerSeen]:
+        """Give the triggers among words, with the times of those before them."""
+        kind = words >> 12
+        lows_at, highs_at, triggers_at = (np.flatnonzero(kind == of) for of in (TIME_LOW, TIME_HIGH, TRIGGER))
+        low = np.concatenate([[self._low], words[lows_at] & PAYLOAD]).astype(np.int64)
+        high = np.concatenate([[self._high], words[highs_at] & PAYLOAD]).astype(np.int64)
+        loops = self._loops + np.concatenate([[0], np.cumsum(np.diff(high) < -(PAYLOAD >> 1))])
+        for at in triggers_at.tolist():
+            turn = np.searchsorted(highs_at, at)
+            t_us = int(loops[turn] * LOOP_US + (high[turn] << 12) + low[np.searchsorted(lows_at, at)])
+            yield TriggerSeen(t_us, "start" if words[at] & 1 else "end")
+        self._low, self._high, self._loops = int(low[-1]), int(high[-1]), int(loops[-1])
