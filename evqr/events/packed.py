@@ -36,7 +36,18 @@ class PackedEvents:
 
     @classmethod
     def joined(cls, parts: Sequence[PackedEvents]) -> PackedEvents:
-        """Give the events of parts, one behind the other; those of one part as they are."""
+        """Put the events of parts one behind the other.
+
+        Parameters
+        ----------
+        parts : sequence of PackedEvents
+            Any number; one part alone is given as it is.
+
+        Returns
+        -------
+        joined : PackedEvents
+            Of no known stream, unless of one part.
+        """
         if len(parts) == 1:
             return parts[0]
         x, y, stamp = (
@@ -46,7 +57,18 @@ class PackedEvents:
         return cls(x, y, stamp)
 
     def after(self, count: int) -> PackedEvents:
-        """Give them without the first ones: views."""
+        """Leave out the first events.
+
+        Parameters
+        ----------
+        count : int
+            How many.
+
+        Returns
+        -------
+        rest : PackedEvents
+            Views.
+        """
         if not count:
             return self
         return PackedEvents(self.x[count:], self.y[count:], self.stamp[count:])
