@@ -175,7 +175,10 @@ class Motion(Value):
         motion : Motion
             With the same parameters.
         """
-        return self if time_us == self.time_us else Motion(self.parameters, time_us, self.about)
+        if time_us == self.time_us:
+            return self
+        # with what is known of it already: speed and direction are of no time
+        return Motion.trusted(**{**vars(self), "time_us": float(time_us)})
 
     def turned(self, angle: float) -> Motion:
         """Give the motion with all velocities turned by an angle.

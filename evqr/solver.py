@@ -227,12 +227,12 @@ class Solver:
             measured = measure(batch, targets, regions, self.config, workspace=self.workspace)
         timings_ms = FrozenDict({stage: ms / len(targets) for stage, ms in clock.ms.items()})
         found: list[Detection | NotFound] = []
-        for k, score in enumerate(measured.alignment.score.tolist()):
-            if score < one.min_score:
-                detail = f"{score:.2f}, where the code should be"
-                found.append(NotFound(Reason.DISAGREES, detail, score, timings_ms))
+        for detection in measured.detections(targets, regions, timings_ms=timings_ms):
+            if detection.score < one.min_score:
+                detail = f"{detection.score:.2f}, where the code should be"
+                found.append(NotFound(Reason.DISAGREES, detail, detection.score, timings_ms))
             else:
-                found.append(measured.detection(k, targets[k], regions[k], timings_ms=timings_ms))
+                found.append(detection)
         return found
 
     def solve(self, found: Sequence[Detection | NormalEquations]) -> list[CodeEstimate]:

@@ -50,11 +50,11 @@ class PackedEvents:
         """
         if len(parts) == 1:
             return parts[0]
-        x, y, stamp = (
-            np.concatenate([np.zeros(0, dtype), *(getattr(part, name) for part in parts)])
-            for name, dtype in (("x", np.uint16), ("y", np.uint16), ("stamp", np.uint32))
+        return cls(
+            np.concatenate([np.zeros(0, np.uint16), *(part.x for part in parts)]),
+            np.concatenate([np.zeros(0, np.uint16), *(part.y for part in parts)]),
+            np.concatenate([np.zeros(0, np.uint32), *(part.stamp for part in parts)]),
         )
-        return cls(x, y, stamp)
 
     def after(self, count: int) -> PackedEvents:
         """Leave out the first events.

@@ -12,7 +12,7 @@ from evqr.fit.modules import NormalEquations
 from evqr.geometry import at_centre, outline
 from evqr.motion import Motion
 from evqr.reason import Reason
-from evqr.symbol.space import CodeSpace
+from evqr.symbol.space import CodeSpace, closed
 from evqr.values import FrozenDict, Value, read_only
 
 NO_LAG = (0.0, 0.0)
@@ -95,7 +95,8 @@ class Target(Value):
         if time_us == self.time_us:
             return self
         motion = self.motion
-        return Target(self.space, motion.advance(self.pose, time_us), motion.at(time_us), self.tau_us)
+        pose = closed(motion.advance(self.pose, time_us))
+        return Target.trusted(space=self.space, pose=pose, motion=motion.at(time_us), tau_us=self.tau_us)
 
 
 @dataclass(frozen=True, eq=False)

@@ -20,6 +20,7 @@ from evqr.fit.image import Cells, Deposit, Sharpen, cells_for
 from evqr.fit.modules import Equations, NormalEquations
 from evqr.fit.region import Region
 from evqr.fit.tables import Codes, ModuleTables, PoseTables
+from evqr.symbol.space import closed
 from evqr.workspace import EventRoom, Step, Workspace
 
 
@@ -38,25 +39,33 @@ class Measurements:
     alignment: Alignment
     equations: list[NormalEquations]
 
-    def detection(
+    def detections(
         self,
-        k: int,
-        target: Target,
-        region: Region,
-        iterations: int = 0,
+        targets: Sequence[Target],
+        regions: Sequence[Region],
+        iterations: Sequence[int] | None = None,
         timings_ms: Mapping[str, float] = NO_TIMINGS,
-    ) -> Detection:
-        """Give what one window says in px of the sensor, after so many iterations before."""
-        found = self.alignment
-        return Detection(
-            target=Target(target.space, region.in_px(found.pose[k]), target.motion, target.tau_us),
-            gain=found.gain[k],
-            score=float(found.score[k]),
-            noise=float(found.noise[k]),
-            equations=self.equations[k],
-            iterations=iterations + int(found.iterations[k]),
-            timings_ms=timings_ms,
-        )
+    ) -> list[Detection]:
+        """Give what the windows say in px of the sensor, after so many iterations before."""
+        found, before = self.alignment, iterations or [0] * len(targets)
+        in_cells, gain = found.pose.tolist(), closed(found.gain)
+        in_px = [region.in_px(pose) for region, pose in zip(regions, in_cells, strict=True)]
+        pose = closed(np.array(in_px))
+        numbers = zip(found.score.tolist(), found.noise.tolist(), found.iterations.tolist(), strict=True)
+        return [
+            Detection.trusted(
+                target=Target.trusted(
+                    space=target.space, pose=pose[k], motion=target.motion, tau_us=target.tau_us
+                ),
+                gain=gain[k],
+                score=score,
+                noise=noise,
+                equations=self.equations[k],
+                iterations=before[k] + steps,
+                timings_ms=timings_ms,
+            )
+            for k, (target, (score, noise, steps)) in enumerate(zip(targets, numbers, strict=True))
+        ]
 
 
 class Measure(Step):
@@ -85,7 +94,9 @@ class Measure(Step):
         if self._deposit is not None:
             self._deposit.write(batch, motions, regions)
         self.sharpen.write(motions, regions, [target.lag_px for target in targets])
-        start = [region.in_cells(target.pose) for target, region in zip(targets, regions, strict=True)]
+        start = [
+            region.in_cells(target.pose.tolist()) for target, region in zip(targets, regions, strict=True)
+        ]
         self._spaces = [target.space for target in targets]
         self.align.write(np.array(start), np.arange(len(targets), dtype=np.int32), numbers)
 

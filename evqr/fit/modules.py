@@ -25,7 +25,7 @@ from evqr.fit.align import Align
 from evqr.fit.image import count_for
 from evqr.fit.model import profiles, quiet_modules
 from evqr.fit.tables import REACH, Codes, ModuleTables
-from evqr.symbol.space import CodeSpace
+from evqr.symbol.space import CodeSpace, closed
 from evqr.values import Value
 from evqr.workspace import Images, Staging, Step, Workspace
 
@@ -162,12 +162,11 @@ class Equations(Step):
         across, down, mixed = self._products
         a_u, a_v = gain[:, 0, None, None], gain[:, 1, None, None]
         stencil = a_u * a_u * across + a_v * a_v * down + a_u * a_v * mixed
-        rhs = self._rhs.read()[: len(spaces)].astype(np.float64)
-        found = []
+        stencil, rhs, found = closed(stencil), self._rhs.read(), []
         for k, space in enumerate(spaces):
             around = 2 * quiet_modules(space)
-            seen = rhs[k, : space.rows + around, : space.columns + around]
-            found.append(NormalEquations(space, stencil[k], seen))
+            seen = closed(rhs[k, : space.rows + around, : space.columns + around].astype(np.float64))
+            found.append(NormalEquations.trusted(space=space, stencil=stencil[k], rhs=seen))
         return found
 
 
@@ -207,14 +206,19 @@ class Solution(Step):
         for k, number in enumerate(numbers):
             if number != self._numbers[k]:
                 seen[k] = q[k] = 0.0
-        for k, (each, weight) in enumerate(zip(equations, weights, strict=True)):
-            # one overall scale: float32 on the device, and many windows add up
-            peak = float(each.stencil[REACH, REACH]) or 1.0
+        count, start = len(equations), self._tables.start
+        stencils = np.array([each.stencil for each in equations])
+        # one overall scale: float32 on the device, and many windows add up
+        peak = stencils[:, REACH, REACH].copy()
+        peak[peak == 0.0] = 1.0
+        scale = 1.0 / peak
+        np.multiply(stencils, scale[:, None, None], out=stencil[:count], casting="unsafe")
+        free = self._cfg.damping / (np.array(weights) * peak)
+        damping[:count] = np.minimum(np.maximum(free, least), most)
+        for k, (each, factor) in enumerate(zip(equations, scale.tolist(), strict=True)):
             rows, columns = each.rhs.shape
-            np.multiply(each.rhs, 1.0 / peak, out=seen[k, :rows, :columns], casting="unsafe")
-            np.multiply(each.stencil, 1.0 / peak, out=stencil[k], casting="unsafe")
-            damping[k] = min(max(self._cfg.damping / (weight * peak), least), most)
-            q[k, :rows, :columns] = self._tables.start[numbers[k]]
+            np.multiply(each.rhs, factor, out=seen[k, :rows, :columns], casting="unsafe")
+            q[k, :rows, :columns] = start[numbers[k]]
         self._numbers = numbers
         self._number.write(numbers)
 
@@ -234,13 +238,13 @@ class Solution(Step):
 
     def read(self, spaces: Sequence[CodeSpace]) -> list[CodeEstimate]:
         """Wait for the device and give the modules of each code."""
-        q = self._q.read()[: len(spaces)] + np.float32(1.0)
+        q = self._q.read()
         iterations = functools.reduce(np.add, [mirror.read() for mirror in self._iterations]).tolist()
         found = []
         for k, space in enumerate(spaces):
             quiet = quiet_modules(space)
-            inner = q[k, quiet : quiet + space.rows, quiet : quiet + space.columns]
-            found.append(CodeEstimate(inner, iterations[k]))
+            inner = q[k, quiet : quiet + space.rows, quiet : quiet + space.columns] + np.float32(1.0)
+            found.append(CodeEstimate.trusted(q=closed(inner), iterations=iterations[k]))
         return found
 
 

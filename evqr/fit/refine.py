@@ -147,8 +147,8 @@ def _refined(
     alignment, escaped = escape_side_minimum(step.images, found.alignment, spaces, one, workspace=workspace)
     found = replace(found, alignment=alignment)
     return [
-        Refinement(target, region, found.detection(k, target, region), bool(escaped[k]))
-        for k, (target, region) in enumerate(zip(targets, regions, strict=True))
+        Refinement(*one)
+        for one in zip(targets, regions, found.detections(targets, regions), escaped.tolist(), strict=True)
     ]
 
 
@@ -204,8 +204,9 @@ def complete(
         regions = [refinements[k].region for k in rows]
         with clock("stage_one"):
             measured = measure(batch.pick(rows), targets, regions, cfg, workspace=workspace)
-        for row, k in enumerate(rows):
-            detections[k] = measured.detection(row, targets[row], regions[row], refinements[k].iterations)
+        made = measured.detections(targets, regions, [refinements[k].iterations for k in rows])
+        for k, detection in zip(rows, made, strict=True):
+            detections[k] = detection
     return detections
 
 
@@ -214,12 +215,12 @@ def _with_lags(
 ) -> list[Target]:
     """Estimate the time constants of the pixels for candidates, and their poses with the lags undone."""
     targets, regions = [each.target for each in found], [each.region for each in found]
-    pose = np.array([each.region.in_cells(each.detection.pose) for each in found])
+    pose = np.array([each.region.in_cells(each.detection.pose.tolist()) for each in found])
     lags_px, aligned = estimate_lags(batch, targets, regions, pose, cfg, workspace=workspace)
     return [
         replace(
             each.target,
-            pose=each.region.in_px(aligned.pose[k]),
+            pose=np.array(each.region.in_px(aligned.pose[k].tolist())),
             tau_us=each.target.motion.tau_us((on, off)),
         )
         for k, (each, (on, off)) in enumerate(zip(found, lags_px.tolist(), strict=True))

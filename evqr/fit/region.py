@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -17,8 +17,11 @@ GRAIN = 16
 """Regions grow in steps of so many cells, so that their buffers are used again."""
 
 
-@dataclass(frozen=True, eq=False)
-class Region:
+Pose = list[list[float]]
+"""A pose (3, 3) as Python has it."""
+
+
+class Region(NamedTuple):
     """A rectangle of the image, cut into cells.
 
     Attributes
@@ -49,27 +52,26 @@ class Region:
         s = self.cell
         return np.array([[s, 0.0, self.x + 0.5 * s], [0.0, s, self.y + 0.5 * s], [0.0, 0.0, 1.0]])
 
-    def in_cells(self, pose: NDArray[np.float64]) -> list[list[float]]:
+    # in Python, as what is done once a window: these are few numbers
+
+    def in_cells(self, pose: Pose) -> Pose:
         """Give a pose (3, 3) in px of the sensor as one in cells."""
-        # in Python, as what is done once a window: these are few numbers
         s = 1.0 / self.cell
         x, y = -self.x * s - 0.5, -self.y * s - 0.5
-        (a, b, c), (d, e, f), (g, h, i) = pose.tolist()
+        (a, b, c), (d, e, f), (g, h, i) = pose
         first = [s * a + x * g, s * b + x * h, s * c + x * i]
         return [first, [s * d + y * g, s * e + y * h, s * f + y * i], [g, h, i]]
 
-    def in_px(self, pose: NDArray[np.float64]) -> NDArray[np.float64]:
+    def in_px(self, pose: Pose) -> Pose:
         """Give a pose (3, 3) in cells as one in px of the sensor, whose last number is 1."""
         s = self.cell
         x, y = self.x + 0.5 * s, self.y + 0.5 * s
-        (a, b, c), (d, e, f), (g, h, i) = pose.tolist()
-        return np.array(
-            [
-                [(s * a + x * g) / i, (s * b + x * h) / i, (s * c + x * i) / i],
-                [(s * d + y * g) / i, (s * e + y * h) / i, (s * f + y * i) / i],
-                [g / i, h / i, 1.0],
-            ]
-        )
+        (a, b, c), (d, e, f), (g, h, i) = pose
+        return [
+            [(s * a + x * g) / i, (s * b + x * h) / i, (s * c + x * i) / i],
+            [(s * d + y * g) / i, (s * e + y * h) / i, (s * f + y * i) / i],
+            [g / i, h / i, 1.0],
+        ]
 
 
 def region_around(

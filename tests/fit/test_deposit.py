@@ -1,7 +1,5 @@
 """Deposits of batches: windows of any streams, sensors, motions and regions, each as alone."""
 
-from dataclasses import replace
-
 import numpy as np
 import pytest
 from scenes import noise
@@ -108,7 +106,7 @@ def test_a_deposit_that_is_there_is_not_made_again(fresh):
     for changed in (
         (batch.pick([1, 0]), motions, regions),
         (batch, motions[::-1], regions),
-        (batch, motions, [replace(regions[0]), regions[1]]),
+        (batch, motions, [Region(*regions[0]), regions[1]]),
     ):
         assert cells.take(*changed)
 
