@@ -48,7 +48,7 @@ def read_many(
         of ``executor``: on other machines, a path must lead to the same file.
     executor : concurrent.futures.Executor, optional
         Any, Dask's ``client.get_executor()`` included; the caller closes it.  None: in this thread, one by
-        one.
+        one.  Each of its threads keeps buffers from one recording to the next, until it ends.
     config, backend, device, threads, **opening : as for `read_codes`
         The same for every source.
 

@@ -12,12 +12,14 @@ from evqr.cli import options
 from evqr.cli.options import BAD, FAILED, NOTHING, OK, backend_options, config_options, recording_options
 from evqr.cli.sink import Form, Sink
 from evqr.cli.sources import Named, recordings_of
-from evqr.cli.workers import workers
+from evqr.cli.workers import prepare, workers
 from evqr.errors import EvqrError, UsageError
 from evqr.reason import Reason
 from evqr.results import ReadResult, ReadStatus
 
 if TYPE_CHECKING:
+    from concurrent.futures import Executor
+
     from evqr.cli.pictures import Pictures
     from evqr.config import ReadConfig
     from evqr.recording import RecordingOptions
@@ -84,10 +86,14 @@ def read(
         raise UsageError("--jobs reads whole recordings at a time: leave out --each-window")
     form: Form = "json" if as_json else "text" if as_text else "report"
     compute = {"config": config, "backend": backend, "device": device, "threads": threads}
-    with recordings_of(sources) as recordings, Sink(form, _other_file(output, recordings)) as sink:
+    with (
+        recordings_of(sources) as recordings,
+        Sink(form, _other_file(output, recordings)) as sink,
+        workers(jobs) as pool,
+    ):
         try:
             pictures = _pictures(picture, recordings)
-            options.prepare(backend, device)
+            prepare(pool, jobs, backend, device)
         except EvqrError as error:
             sink.error(None, error)
             raise
@@ -95,7 +101,7 @@ def read(
             read_alone = [_each_window(named, sink, {**compute, **opening}) for named in recordings]
             return exit_status((result.status, result.reason_code) for result in read_alone)
         results = []
-        for named, result in _results(recordings, jobs, {**compute, **opening}):
+        for named, result in _results(recordings, pool, {**compute, **opening}):
             sink.result(named, result)
             results.append(result)
             if pictures is not None:
@@ -120,10 +126,10 @@ def _pictures(picture: Path | None, recordings: Sequence[Named]) -> Pictures | N
 
 
 def _results(
-    recordings: Sequence[Named], jobs: int, given: dict[str, Any]
+    recordings: Sequence[Named], pool: Executor | None, given: dict[str, Any]
 ) -> Iterator[tuple[Named, ReadResult]]:
     """Read recordings, one after another or several at a time; what cannot be read is a result, too."""
-    if jobs == 1:
+    if pool is None:
         from evqr.solvers import KeptSolvers
 
         kept = KeptSolvers()
@@ -136,13 +142,12 @@ def _results(
 
     from evqr.many import read_many
 
-    with workers(jobs) as pool:
-        read = read_many([named.path for named in recordings], executor=pool, **given)
-        # disable=None: no bar where stderr is no terminal
-        shown = tqdm(recordings, unit=" recording", leave=False, disable=True if options.is_quiet() else None)
-        for named, result in zip(shown, read, strict=True):
-            with tqdm.external_write_mode():
-                yield named, result
+    read = read_many([named.path for named in recordings], executor=pool, **given)
+    # disable=None: no bar where stderr is no terminal
+    shown = tqdm(recordings, unit=" recording", leave=False, disable=True if options.is_quiet() else None)
+    for named, result in zip(shown, read, strict=True):
+        with tqdm.external_write_mode():
+            yield named, result
 
 
 def _read_one(named: Named, given: dict[str, Any]) -> ReadResult:

@@ -51,7 +51,7 @@ def run_command(command: Callable[[], int], *, debug: bool = False) -> int:
         Print the traceback of what is no fault of the user's, too.
     """
     try:
-        with _standard_output() as output, _logged_as_notes():
+        with _standard_output() as output, logged_as_notes():
             try:
                 status = command()
                 output.flush()
@@ -198,7 +198,7 @@ def _print_no_more() -> None:
 
 
 @contextlib.contextmanager
-def _logged_as_notes() -> Iterator[None]:
+def logged_as_notes() -> Iterator[None]:
     """Print what our packages log as notes, and nothing of what others have to say about the surroundings."""
     handler = _Notes(logging.WARNING)
     ours = [logging.getLogger(name) for name in ("evqr", "evqr_kernels")]
