@@ -9,7 +9,7 @@ from typing import Any
 
 from evqr.errors import UsageError
 from evqr.output.sqlite_file import SqliteFile
-from evqr.sinks.sink import JsonRecord, SinkUnavailable
+from evqr.sinks.sink import JsonRecord
 from evqr.values import json_line
 
 APPLICATION_ID = 0x65766C72
@@ -75,9 +75,9 @@ class Database:
                 self._path, application_id=APPLICATION_ID, what="a line's records", migrations=MIGRATIONS
             )
         except UsageError as error:
-            raise SinkUnavailable(str(error)) from error
+            raise ConnectionError(str(error)) from error
 
-    def write(self, records: Sequence[JsonRecord]) -> None:
+    def write(self, records: Sequence[JsonRecord]) -> str:
         """Write rows, all of them or none."""
         assert self._file is not None
         now = datetime.now(timezone.utc)
@@ -89,7 +89,8 @@ class Database:
                     self._until_pruned = PRUNE_EVERY
                     self._prune(now)
         except UsageError as error:
-            raise SinkUnavailable(str(error)) from error
+            raise ConnectionError(str(error)) from error
+        return ""
 
     def close(self) -> None:
         """Close the file."""

@@ -45,7 +45,7 @@ class JsonLines:
             file.truncate(whole)
         self._file = file
 
-    def write(self, records: Sequence[JsonRecord]) -> None:
+    def write(self, records: Sequence[JsonRecord]) -> str:
         """Append lines."""
         if self._moved_away():
             self.close()
@@ -54,6 +54,7 @@ class JsonLines:
         self._file.write("".join(json_line(record) + "\n" for record in records).encode("ascii"))
         self._file.flush()
         os.fsync(self._file.fileno())
+        return ""
 
     def close(self) -> None:
         """Close the file."""

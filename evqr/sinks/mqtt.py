@@ -7,7 +7,7 @@ from collections.abc import Sequence
 from typing import Any
 
 from evqr.sinks.extra import needs_extra
-from evqr.sinks.sink import JsonRecord, SinkUnavailable
+from evqr.sinks.sink import JsonRecord
 from evqr.values import json_line
 
 ANSWER_S = 10.0
@@ -69,16 +69,17 @@ class Mqtt:
         self._client.connect(self._host, self._port)
         self._client.loop_start()
 
-    def write(self, records: Sequence[JsonRecord]) -> None:
+    def write(self, records: Sequence[JsonRecord]) -> str:
         """Publish records, and wait until the broker has them."""
         sent = [self._client.publish(self._where(record), json_line(record), qos=1) for record in records]
         for each in sent:
             try:
                 each.wait_for_publish(ANSWER_S)
             except RuntimeError as error:  # what the client says where there is no connection
-                raise SinkUnavailable(self._refusal or str(error)) from error
+                raise ConnectionError(self._refusal or str(error)) from error
             if not each.is_published():
-                raise SinkUnavailable(self._refusal or "the broker does not answer")
+                raise ConnectionError(self._refusal or "the broker does not answer")
+        return ""
 
     def close(self) -> None:
         """Disconnect."""

@@ -11,7 +11,7 @@ from dataclasses import dataclass
 from enum import Enum
 from os import PathLike
 
-from evqr.sinks.sink import JsonRecord, RecordsRefusedError, Sink
+from evqr.sinks.sink import JsonRecord, Sink
 from evqr.sinks.waiting import InMemory, Spool, Waiting
 
 _LOG = logging.getLogger(__name__)
@@ -197,12 +197,8 @@ class Outlet:
         """Deliver, until there is nothing left and nothing will come."""
         pause_s, longest_s = self._retry_s
         while records := self._next():
-            refused = False
             try:
-                self._deliver(records)
-            except RecordsRefusedError as error:
-                refused = True
-                _LOG.error("%s: %d records are refused (%s)", self._sink.name, len(records), error)
+                refused = self._deliver(records)
             except Exception as error:  # whatever a sink's library raises, it is tried again
                 with self._changed:
                     self._failed(error)
@@ -225,15 +221,16 @@ class Outlet:
             over = self._closing.is_set() and time.monotonic() >= self._ends_at
             return [] if over else self._waiting.first(AT_ONCE)
 
-    def _deliver(self, records: list[JsonRecord]) -> None:
+    def _deliver(self, records: list[JsonRecord]) -> str:
         if not self._is_open:
             self._sink.open()
             self._is_open = True
-        self._sink.write(records)
+        return self._sink.write(records)
 
-    def _done(self, records: list[JsonRecord], refused: bool) -> None:
+    def _done(self, records: list[JsonRecord], refused: str) -> None:
         self._waiting.done(len(records))
         if refused:
+            _LOG.error("%s: %d records are refused (%s)", self._sink.name, len(records), refused)
             self._refused += len(records)
         else:
             self._delivered += len(records)

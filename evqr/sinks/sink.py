@@ -9,14 +9,6 @@ JsonRecord = Mapping[str, Any]
 """A record as plain values, such as `PartRecord.to_dict` gives; it has a ``record``, which says its kind."""
 
 
-class SinkUnavailable(Exception):
-    """A sink cannot take records now: they will be offered again."""
-
-
-class RecordsRefusedError(Exception):
-    """A sink will never take these records: they are counted, and not offered again."""
-
-
 class Sink(Protocol):
     """Takes records; all calls come from one thread.
 
@@ -33,12 +25,12 @@ class Sink(Protocol):
 
         Raises
         ------
-        SinkUnavailable, OSError
+        OSError
             It is not there; it will be tried again.
         """
         ...
 
-    def write(self, records: Sequence[JsonRecord]) -> None:
+    def write(self, records: Sequence[JsonRecord]) -> str:
         """Deliver records; returns when they are safe where they go.
 
         Parameters
@@ -46,12 +38,15 @@ class Sink(Protocol):
         records : sequence of mapping
             In order. After a failure the same come again, so some may arrive twice.
 
+        Returns
+        -------
+        refused : str
+            Why they never will be delivered; "" where they are.
+
         Raises
         ------
-        SinkUnavailable, OSError
-            Not all of them are delivered.
-        RecordsRefusedError
-            They never will be.
+        OSError
+            Not all of them are delivered; `ConnectionError` where it is no file's.
         """
         ...
 

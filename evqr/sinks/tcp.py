@@ -7,7 +7,7 @@ import threading
 from collections.abc import Sequence
 
 from evqr.sinks.line_format import LineFormat
-from evqr.sinks.sink import JsonRecord, SinkUnavailable
+from evqr.sinks.sink import JsonRecord
 
 MOST_UNSENT = 1 << 20
 """Bytes that a client may leave unread before it is dropped."""
@@ -65,13 +65,14 @@ class TcpServer:
             self.close()
             raise
 
-    def write(self, records: Sequence[JsonRecord]) -> None:
+    def write(self, records: Sequence[JsonRecord]) -> str:
         """Send lines to all clients."""
         assert self._loop is not None
         lines = [self._line.fill(record) + self._end for record in records if record["record"] in self._kinds]
         if lines:
             sending = self._send("".join(lines).encode(self._encoding, "replace"))
             asyncio.run_coroutine_threadsafe(sending, self._loop).result(START_S)
+        return ""
 
     def close(self) -> None:
         """Part from all clients, and listen no more."""
@@ -102,7 +103,7 @@ class TcpServer:
 
     async def _send(self, data: bytes) -> None:
         if not self._clients and self._needs_client:
-            raise SinkUnavailable("nobody is connected")
+            raise ConnectionError("nobody is connected")
         for client in list(self._clients):
             if client.transport.get_write_buffer_size() > MOST_UNSENT:
                 client.transport.abort()  # it does not read: it would keep lines for ever

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 
 from evqr.sinks.extra import needs_extra
-from evqr.sinks.sink import JsonRecord, RecordsRefusedError, SinkUnavailable
+from evqr.sinks.sink import JsonRecord
 from evqr.values import json_line
 
 ANSWER_S = 10.0
@@ -46,19 +46,17 @@ class Webhook:
         """Begin a session."""
         self._client = self._httpx.Client(timeout=ANSWER_S, headers=self._headers)
 
-    def write(self, records: Sequence[JsonRecord]) -> None:
+    def write(self, records: Sequence[JsonRecord]) -> str:
         """Post records."""
         body = "[" + ",".join(map(json_line, records)) + "]"
         try:
             answer = self._client.post(self._url, content=body.encode("ascii"))
         except self._httpx.HTTPError as error:
-            raise SinkUnavailable(str(error) or type(error).__name__) from error
-        if answer.is_success:
-            return
-        said = f"{answer.status_code} {answer.reason_phrase}"
+            raise ConnectionError(str(error) or type(error).__name__) from error
+        said = f"the server answers {answer.status_code} {answer.reason_phrase}"
         if answer.status_code >= 500 or answer.status_code in NOT_NOW:
-            raise SinkUnavailable(f"the server answers {said}")
-        raise RecordsRefusedError(f"the server answers {said}")
+            raise ConnectionError(said)
+        return "" if answer.is_success else said
 
     def close(self) -> None:
         """End the session."""

@@ -17,7 +17,6 @@ from evqr.sinks.json_lines import JsonLines
 from evqr.sinks.line_format import LineFormat
 from evqr.sinks.mqtt import Mqtt
 from evqr.sinks.outlet import Outlet
-from evqr.sinks.sink import RecordsRefusedError, SinkUnavailable
 from evqr.sinks.tcp import TcpServer
 from evqr.sinks.webhook import Webhook
 
@@ -167,7 +166,7 @@ def test_lines_wait_for_a_client():
     sink = TcpServer(line=LineFormat("{sequence};{text}"), needs_client=True)
     sink.open()
     try:
-        with pytest.raises(SinkUnavailable):
+        with pytest.raises(ConnectionError):
             sink.write([part(0, "first")])
         with socket.create_connection((sink.host, sink.port), 10) as one:
             until(lambda: len(sink._clients) == 1)
@@ -249,13 +248,12 @@ def test_a_post_that_is_refused_or_goes_nowhere(server):
     answers.append(404)
     sink = Webhook(url)
     sink.open()
-    with pytest.raises(RecordsRefusedError, match="404"):
-        sink.write([part(0)])
+    assert "404" in sink.write([part(0)])
     sink.close()
     nowhere = Webhook("http://user:secret@127.0.0.1:9/x?token=secret")
     assert "secret" not in nowhere.name
     nowhere.open()
-    with pytest.raises(SinkUnavailable):
+    with pytest.raises(ConnectionError):
         nowhere.write([part(0)])
     nowhere.close()
 
