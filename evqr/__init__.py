@@ -20,12 +20,15 @@ if TYPE_CHECKING:
         DecodeConfig,
         FinderConfig,
         FinderPass,
+        JobConfig,
         LagConfig,
+        LineConfig,
         ModulesConfig,
         MotionConfig,
         ReadConfig,
         SchedulerConfig,
         TrackConfig,
+        TriggerConfig,
         Vote,
     )
     from evqr.errors import BackendError, EvqrError, MissingExtra, RecordingError, StreamChoice, UsageError
@@ -36,6 +39,16 @@ if TYPE_CHECKING:
     from evqr.events.window import Window
     from evqr.fit.detection import Detection, NotFound, Target
     from evqr.fit.modules import CodeEstimate, NormalEquations
+    from evqr.line.aio import AsyncReader
+    from evqr.line.reader import Reader
+    from evqr.line.records import (
+        ClockRecord,
+        GapRecord,
+        LineRecord,
+        OverloadRecord,
+        PartRecord,
+        ReadRecord,
+    )
     from evqr.many import read_many
     from evqr.motion import Motion
     from evqr.offline import read_codes, read_windows
@@ -75,9 +88,11 @@ if TYPE_CHECKING:
 __all__ = [
     "AlignConfig",
     "Anchor",
+    "AsyncReader",
     "BackendError",
     "Candidate",
     "CharsetSource",
+    "ClockRecord",
     "CodeEstimate",
     "CodeReading",
     "CodeSpace",
@@ -91,9 +106,13 @@ __all__ = [
     "EvqrError",
     "FinderConfig",
     "FinderPass",
+    "GapRecord",
     "Gs1Element",
+    "JobConfig",
     "LagConfig",
     "Landmark",
+    "LineConfig",
+    "LineRecord",
     "Message",
     "MissingExtra",
     "ModulesConfig",
@@ -103,12 +122,16 @@ __all__ = [
     "Nearest",
     "NormalEquations",
     "NotFound",
+    "OverloadRecord",
     "PackedEvents",
+    "PartRecord",
     "Payload",
     "QuietSpells",
     "ReadConfig",
+    "ReadRecord",
     "ReadResult",
     "ReadStatus",
+    "Reader",
     "Reason",
     "Recording",
     "RecordingError",
@@ -123,6 +146,7 @@ __all__ = [
     "Target",
     "TimeUnit",
     "TrackConfig",
+    "TriggerConfig",
     "UsageError",
     "Vote",
     "Window",
@@ -146,12 +170,15 @@ _HOME = {
         "DecodeConfig",
         "FinderConfig",
         "FinderPass",
+        "JobConfig",
         "LagConfig",
+        "LineConfig",
         "ModulesConfig",
         "MotionConfig",
         "ReadConfig",
         "SchedulerConfig",
         "TrackConfig",
+        "TriggerConfig",
         "Vote",
     ),
     "evqr.errors": (
@@ -175,6 +202,16 @@ _HOME = {
     "evqr.fit.modules": (
         "CodeEstimate",
         "NormalEquations",
+    ),
+    "evqr.line.aio": ("AsyncReader",),
+    "evqr.line.reader": ("Reader",),
+    "evqr.line.records": (
+        "ClockRecord",
+        "GapRecord",
+        "LineRecord",
+        "OverloadRecord",
+        "PartRecord",
+        "ReadRecord",
     ),
     "evqr.many": ("read_many",),
     "evqr.motion": ("Motion",),

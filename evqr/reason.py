@@ -34,6 +34,18 @@ class Reason(str, Enum):
     POSSIBLY_CHANCE = "possibly_chance", "possibly chance"
     NO_CONTENT = "no_content", "error correction succeeded, but the data is empty or malformed"
 
+    NOTHING_LIKE_A_CODE = "nothing_like_a_code", "nothing like a code"
+    PARTLY_IN_VIEW = "partly_in_view", "a code was never wholly in view"
+    TOO_FAST = "too_fast", "too fast"
+    TOO_SLOW = "too_slow", "too slow"
+    OTHER_PART = "other_part", "the code in view was given to another part"
+    NO_MATCH = "no_match", "what was read is not what was expected"
+    DEADLINE = "deadline", "what was to be searched was not when the part had to be told"
+    TRIGGER_LATE = "trigger_late", "the trigger came too late"
+    OVERLOAD = "overload", "events came faster than they could be read"
+    SILENCE = "silence", "no event came"
+    EVENTS_DROPPED = "events_dropped", "events were wrong or came too late, and were left out"
+
     def __new__(cls, code: str, text: str) -> Reason:
         """Make a member of its code and its text."""
         member = str.__new__(cls, code)

@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 
 from evqr.events.array import EventArray
+from evqr.line.records import ClockRecord, GapRecord, OverloadRecord, PartRecord
 from evqr.reason import Reason
 from evqr.recording import save_recording
 from evqr.results import CodeReading, ReadResult, ReadStatus, Statistics, WindowCode, WindowReading
@@ -61,6 +62,13 @@ WINDOW = WindowReading(
         ),
     ),
     compute_ms={"motion": 1.25, "total": 31.0},
+)
+
+LINE = (
+    PartRecord(sequence=1, part=0, trigger=7, texts=("LOT 42",), readings=(READING,)),
+    GapRecord(sequence=2, t_from_us=5, t_to_us=9),
+    ClockRecord(sequence=3, t_before_us=9, t_after_us=0),
+    OverloadRecord(sequence=4, t_from_us=5, t_to_us=9, windows=3, behind_ms=50.0),
 )
 
 

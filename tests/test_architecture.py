@@ -21,7 +21,7 @@ FLOORS = (
     ("solvers", "work", "results"),
     ("stream",),
     ("offline",),
-    ("many", "output", "demo"),
+    ("many", "output", "demo", "line"),
     ("archive", "sinks", "live"),
     ("cli",),
     ("paper",),

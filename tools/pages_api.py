@@ -31,6 +31,7 @@ class Page:
 SUBJECTS = {
     "Reading": ("evqr.offline", "evqr.many"),
     "Results": ("evqr.results",),
+    "Lines": ("evqr.line",),
     "What a code says": ("evqr.symbol.payload", "evqr.symbol.messages", "evqr.symbol.gs1"),
     "Recordings": ("evqr.recording",),
     "Pictures": ("evqr.output",),

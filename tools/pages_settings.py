@@ -16,7 +16,8 @@ from evqr.symbology import Symbology
 INTRODUCTION = """\
 # Settings
 
-All hang under `ReadConfig`, which `read_codes`, `read_windows`, `read_many` and `Solver` take as `config`:
+All hang under `ReadConfig`, which `read_codes`, `read_windows`, `read_many`, `Reader` and `Solver` take as
+`config`, but for `TriggerConfig` and `JobConfig`, which `Reader` takes as `triggers` and `jobs`:
 
 ```python
 import evqr

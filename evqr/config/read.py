@@ -8,6 +8,7 @@ from typing import Annotated
 
 from evqr.config.decode import DecodeConfig
 from evqr.config.fit import AlignConfig, LagConfig, ModulesConfig
+from evqr.config.line import LineConfig
 from evqr.config.search import FinderConfig, MotionConfig
 from evqr.config.settings import Count, NotEmpty, Range, Settings
 from evqr.config.stream import SchedulerConfig, TrackConfig
@@ -67,6 +68,8 @@ class ReadConfig(Settings):
         When a stream is searched.
     track : TrackConfig
         How a code is followed.
+    line : LineConfig
+        How a stream that comes bit by bit is taken.
     """
 
     window_us: Count | None = None
@@ -85,6 +88,7 @@ class ReadConfig(Settings):
     decode: DecodeConfig = field(default_factory=DecodeConfig)
     scheduler: SchedulerConfig = field(default_factory=SchedulerConfig)
     track: TrackConfig = field(default_factory=TrackConfig)
+    line: LineConfig = field(default_factory=LineConfig)
 
     def __post_init__(self) -> None:
         super().__post_init__()

@@ -8,6 +8,8 @@ silence.
 
 from __future__ import annotations
 
+from typing import NamedTuple
+
 import numpy as np
 from numpy.typing import NDArray
 
@@ -27,14 +29,45 @@ EPOCH_GAP_US = 2 * MAX_DISORDER_US
 _NEVER = int(np.iinfo(np.int64).max)
 
 
+class Reset(NamedTuple):
+    """A clock that was reset.
+
+    Attributes
+    ----------
+    before_us, after_us : int [us]
+        The clock's last time before it, and its first one after it.
+    shift_us : int [us]
+        How much later times from there on are put.
+    """
+
+    before_us: int
+    after_us: int
+    shift_us: int
+
+
 class ClockWatch:
     """Passes events on in the order of arrival, less those with stray stamps; reset clocks go on rising.
 
     What waits is bounded by what a sensor fires within `MAX_DISORDER_US`.
+
+    Parameters
+    ----------
+    faults : Faults
+        Is told of stray stamps and of resets.
+    ahead_us : int [us]
+        How long what follows a silence must last before it is trusted; of live events, which should not wait,
+        that they are `FEW_EVENTS` is enough.
+
+    Attributes
+    ----------
+    resets : list of Reset
+        So far, in order; who works on them may clear it.
     """
 
-    def __init__(self, faults: Faults) -> None:
+    def __init__(self, faults: Faults, *, ahead_us: int = MAX_DISORDER_US) -> None:
+        self.resets: list[Reset] = []
         self._faults = faults
+        self._ahead_us = ahead_us
         self._newest: int | None = None  # of the trusted events
         self._shift_us = 0
         self._arrived = 0
@@ -111,9 +144,19 @@ class ClockWatch:
         self._waiting_events += count
         self._waiting_newest = max(self._waiting_newest, int(events.t[:count].max()))
         lasted_us = self._waiting_newest - int(self._waiting[0].t[0])
-        if self._waiting_events >= FEW_EVENTS and lasted_us > MAX_DISORDER_US:
+        enough_us = self._ahead_us if self._ahead() else MAX_DISORDER_US
+        if self._waiting_events >= FEW_EVENTS and lasted_us > enough_us:
             self._trust_waiting(ready)
         return count
+
+    def reached(self, time_us: int) -> list[EventArray]:
+        """Take it from elsewhere that the clock has reached a time; return what can be trusted by that."""
+        ready: list[EventArray] = []
+        if self._waiting and self._ahead() and self._waiting_newest <= time_us:
+            self._trust_waiting(ready)
+        if self._newest is not None:
+            self._newest = max(self._newest, time_us)
+        return ready
 
     def _ahead(self) -> bool:
         return self._newest is None or int(self._waiting[0].t[0]) > self._newest
@@ -127,6 +170,7 @@ class ClockWatch:
             self._shift_us += shift_us
             problem = f"from {before} us to {after} us at event {self._waiting_from:,}"
             self._faults.new_epoch(problem, self._shift_us)
+            self.resets.append(Reset(before, after, self._shift_us))
             parts = [_shifted(part, shift_us) for part in parts]
         self._newest = max(self._newest or 0, *(int(part.t.max()) for part in parts))
         ready.extend(parts)

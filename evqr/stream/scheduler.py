@@ -150,6 +150,27 @@ class StreamScheduler:
             self._events.advance(until_us)
         return self._run(-math.inf if until_us is None else until_us)
 
+    def skip(self, until_us: int) -> int:
+        """Search for nothing before a time: there is too much to do.  Codes that are followed still are.
+
+        Parameters
+        ----------
+        until_us : int [us]
+            The time.
+
+        Returns
+        -------
+        skipped : int
+            Searches that are left out by that, about.
+        """
+        if self._searching is None or until_us <= self._search_us:
+            return 0
+        motion = self._motion
+        step_us = self._config.scheduler.unknown_us if motion is None else self._step_us(motion)
+        skipped = -(-(until_us - self._search_us) // step_us)
+        self._search_from(until_us)
+        return skipped
+
     def close(self) -> list[StreamRecord]:
         """Take the stream as ended, and do what is left to do.
 

@@ -8,7 +8,7 @@ import sys
 from pathlib import Path
 
 import pytest
-from sample_results import WINDOW, no_read_result, read_result
+from sample_results import LINE, WINDOW, no_read_result, read_result
 
 import evqr
 import evqr_kernels
@@ -111,6 +111,7 @@ def test_every_exit_status_is_told():
         ("Nothing read, and errors", result_records(no_read_result())[0]),
         ("A window", WINDOW.to_dict()),
         ("A window", WINDOW.to_dict()["codes"][0]),
+        *(("Records of a line", record.to_dict()) for record in LINE),
     ],
 )
 def test_every_key_of_a_record_is_told(heading, record):
