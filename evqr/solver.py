@@ -24,6 +24,7 @@ from evqr.launched import LAUNCHED
 from evqr.motion import Motion
 from evqr.reason import Reason
 from evqr.search.codes import find_codes
+from evqr.search.finder import bytes_for
 from evqr.search.headings import headings
 from evqr.search.motion_estimate import (
     MotionEstimate,
@@ -33,9 +34,6 @@ from evqr.search.motion_estimate import (
 )
 from evqr.values import FrozenDict
 from evqr.workspace import Workspace
-
-WINDOWS_AT_ONCE = 16
-"""Windows that are searched in one launch: what they take of the device's memory bounds it."""
 
 
 class Solver:
@@ -181,10 +179,11 @@ class Solver:
         known = [cfg.lag_us or tau for tau in tau_us or [None] * len(batch)]
         tried = [headings(*each, cfg.finder) for each in zip(batch.windows, motions, strict=True)]
         best: list[tuple[Detection, ...] | NotFound] = [NotFound(Reason.NOTHING_MOVES)] * len(batch)
+        together = self.workspace.windows_at_once(bytes_for(batch.windows, cfg.finder)) if tried else 1
         for turn in range(max(map(len, tried), default=0)):
             open_ = [k for k, each in enumerate(tried) if turn < len(each) and not _sure(best[k], cfg)]
-            for first in range(0, len(open_), WINDOWS_AT_ONCE):
-                rows = open_[first : first + WINDOWS_AT_ONCE]
+            for first in range(0, len(open_), together):
+                rows = open_[first : first + together]
                 found = find_codes(
                     batch.pick(rows), [tried[k][turn] for k in rows], [known[k] for k in rows], cfg,
                     workspace=self.workspace, clock=clock,

@@ -42,6 +42,11 @@ ALIGNED = 16
 """Words of 32 bits that parts of a block begin with a multiple of: a line of the cache."""
 
 
+MOST_BYTES = {"host": 1 << 28, "device": 1 << 33}
+"""Bytes that windows side by side may take: of a host's memory, where more of them are no faster, and of a
+device's own."""
+
+
 class Mirror:
     """A device array and its copy on the host, both parts of the blocks of a `Staging`.
 
@@ -293,6 +298,11 @@ class Workspace(Keeper):
         """Whether device and host have the same memory: then a few large launches are no better than many."""
         host = np.zeros(1, np.float32)
         return np.shares_memory(host, self.backend.to_host(self.put(host)))
+
+    def windows_at_once(self, bytes_each: float) -> int:
+        """Give how many windows, each of which takes so many bytes, are worked on side by side."""
+        most = int(MOST_BYTES["host" if self.shared else "device"] / bytes_each)
+        return 1 << max(most, 1).bit_length() - 1  # what is made for windows has room for a power of two
 
     def empty(self, *shape: int, dtype: DTypeLike = np.float32) -> Any:
         """Make a device array with undefined contents."""

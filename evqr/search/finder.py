@@ -16,6 +16,7 @@ from numpy.typing import NDArray
 
 from evqr.config import FinderConfig
 from evqr.events.batch import EventBatch
+from evqr.events.window import Window
 from evqr.fit.image import count_for
 from evqr.fit.region import Region
 from evqr.motion import Motion
@@ -24,6 +25,9 @@ from evqr.search.pyramid import Pyramid, levels_of
 from evqr.search.templates import ANGLES, TERMS, bank_along, spans
 from evqr.search.triples import leg_tolerances
 from evqr.workspace import EventRoom, Keeper, Staging, Workspace
+
+BYTES_A_CELL = 300
+"""Bytes of all arrays of a search, a cell of the finest level of a window. Measured."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -174,6 +178,12 @@ class Finder(Keeper):
         many = self._maxima.reshape((count, high * a_row, 5))
         backend.merge_maxima(many, 2.0, 1.5 * math.log(cfg.scale_ratio), *self._merging, self._peaks.device)
         backend.match_corners(self._peaks.device, self._tolerances, *self._matching, self._triples.device)
+
+
+def bytes_for(windows: Sequence[Window], cfg: FinderConfig) -> float:
+    """Give the bytes that a search takes a window: as if something happened all over the largest."""
+    cell = cfg.smallest_module_px / cfg.cells_a_module
+    return BYTES_A_CELL * max(window.width * window.height for window in windows) / cell**2
 
 
 def in_order(triples: NDArray[np.float32]) -> NDArray[np.float32]:

@@ -55,8 +55,8 @@ LEAST_CELL_PX = 3
 FEWEST_ROOM = 1 << 12
 """Room for events grows from this in powers of two, so that launches recorded for it are used again."""
 
-MOST_TOGETHER = 32
-"""Windows whose images are made at once: at full resolution they take some megabytes each."""
+BYTES_A_CELL = 20
+"""Bytes of all arrays, a binned pixel of a window. Measured."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -193,9 +193,11 @@ def estimate_motions(
         if min(middle, len(window) - middle) >= cfg.fewest_events // 2
     ]
     half = max(cfg.blur_px / reduction, LEAST_HALF)
+    pixels = max((window.width * window.height for window in windows), default=1)
+    together = workspace.windows_at_once(BYTES_A_CELL * pixels / reduction**2)
     while waiting:
         now_reach = waiting[0][2]
-        now = [one for one in waiting if one[2] == now_reach][:MOST_TOGETHER]
+        now = [one for one in waiting if one[2] == now_reach][:together]
         waiting = [one for one in waiting if one not in now]
         peaks = _correlate(
             [sample for _, sample, _ in now], reduction, now_reach or cfg.reach_px, half, cfg, workspace

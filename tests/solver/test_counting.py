@@ -81,6 +81,27 @@ def test_what_is_copied_does_not_grow_with_the_batch(count, counting_over_warp):
     assert counts.launches == 0 and counts.graphs == 2
 
 
+def test_a_search_does_not_launch_more_for_more_windows(counting_over_warp):
+    made = scene(preset="fast")
+    buffer, start = EventBuffer.of(made.events), middle_us(made) - 250
+    window = buffer.window(start, start + 500)
+    motion = motion_at(made.truth["truth"], window.middle_us)
+    counted = []
+    for count in (1, 17):
+        found = []
+
+        def run(count=count, found=found):
+            windows = [make_window(window.events, window.start_us, window.end_us) for _ in range(count)]
+            found[:] = counting_over_warp.find(EventBatch.of(windows), [motion] * count)
+
+        counts, _ = counting.counted(counting_over_warp, run)
+        assert all(codes[0].score > 0.8 for codes in found)
+        counted.append((counts.recorded, counts.launches, counts.uploads, counts.downloads))
+    assert counted[0] == counted[1]
+    recorded, launches, uploads, downloads = counted[0]
+    assert recorded < 60 and launches == 0 and uploads <= 10 and downloads <= 9
+
+
 def test_a_sequence_has_one_copy_each_way():
     backend = counting.CountingBackend()
     workspace = Workspace(backend, "cpu")

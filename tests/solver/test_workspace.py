@@ -126,6 +126,13 @@ def test_other_events_are_not_taken_for_the_same(other, workspace, events):
     assert_there(workspace.events(batch), batch)
 
 
+def test_windows_are_worked_on_at_once_as_long_as_they_fit(workspace, monkeypatch):
+    monkeypatch.setattr("evqr.workspace.MOST_BYTES", {"host": 1000, "device": 10**6})
+    assert [workspace.windows_at_once(each) for each in (1, 100, 125, 501, 2000)] == [512, 8, 8, 1, 1]
+    monkeypatch.setattr(workspace, "shared", False)
+    assert workspace.windows_at_once(100) == 8192
+
+
 # ---- what is kept
 
 
