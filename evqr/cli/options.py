@@ -58,7 +58,7 @@ class VersionType(click.ParamType):
         names = {str(version).lower(): version for symbol in SYMBOLS.values() for version in symbol.sizes}
         if str(value).lower() not in names:
             self.fail(
-                f"{value!r} is no version; write 1 to 40, M1 to M4 for Micro QR, R7x43 to R17x139 for rMQR",
+                f"{value!r} is no version; write as 1 to 40, M1 to M4, R11x27 or 22x22",
                 param,
                 ctx,
             )

@@ -40,6 +40,7 @@ many windows show them; only F itself, of the sum of all windows, tells such a p
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 
 import numpy as np
 from numpy.typing import NDArray
@@ -92,6 +93,12 @@ def confidence(log_chance: float, wrong_grids: float) -> float:
         Grids without a code that are tried for each one with a code.
     """
     return 1.0 / (1.0 + wrong_grids * math.exp(log_chance))
+
+
+def log_sum(log_chances: Sequence[float]) -> float:
+    """Return the natural logarithm of the sum of F over blocks, of their logarithms."""
+    least_sure = max(log_chances)
+    return least_sure + math.log(sum(math.exp(each - least_sure) for each in log_chances))
 
 
 def log_tail(agreement: NDArray[np.floating]) -> float:

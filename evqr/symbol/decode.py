@@ -35,7 +35,7 @@ def decode_grid(
     config : DecodeConfig
         How hard to try, and how sure to be.
     effort : {"quick", "full"}
-        Few tries; or many, and the transpose too (mirrored symbols).
+        Few tries; or many, and the mirror image of square symbols too.
 
     Returns
     -------
@@ -54,10 +54,10 @@ def decode_grid(
         raise ValueError("q must be finite, got NaN or infinity: write 0 for unknown modules")
     if effort not in ("quick", "full"):
         raise ValueError(f"effort must be 'quick' or 'full', got {effort!r}")
-    decode = SYMBOLS[space.symbology].decode
-    outcome = decode(q, space, config, effort)
+    symbol = SYMBOLS[space.symbology]
+    outcome = symbol.decode(q, space, config, effort)
     if effort == "full" and isinstance(outcome, DecodeFailure) and space.rows == space.columns:
-        mirrored = decode(q.T, space, config, effort)
+        mirrored = symbol.decode(symbol.mirror(q), space, config, effort)
         if isinstance(mirrored, Decoded):
-            return replace(mirrored, mirrored=True, modules=mirrored.modules.T)
+            return replace(mirrored, mirrored=True, modules=symbol.mirror(mirrored.modules))
     return outcome

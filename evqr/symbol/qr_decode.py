@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 
 from evqr.config import DecodeConfig
 from evqr.reason import Reason
-from evqr.symbol.chance import ORIENTATIONS, confidence, count_pads
+from evqr.symbol.chance import ORIENTATIONS, confidence, count_pads, log_sum
 from evqr.symbol.content import content_of
 from evqr.symbol.correct import Corrected, Doubt, correct_block
 from evqr.symbol.decoded import Decoded, DecodeFailure, Effort
@@ -168,8 +168,7 @@ def _decode_format(
     # A texture that equals a mask (stripes, checks) is the all-zero word: valid, and empty.
     if payload is None:
         return failed(Reason.NO_CONTENT, _named(form))
-    least_sure = max(block.log_chance for block in blocks)
-    log_chance = hypotheses + least_sure + math.log(sum(math.exp(b.log_chance - least_sure) for b in blocks))
+    log_chance = hypotheses + log_sum([block.log_chance for block in blocks])
     return Decoded(
         payload=payload,
         space=space,

@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from evqr.config import DecodeConfig
-from evqr.symbol import micro_qr, qr, rmqr
+from evqr.symbol import data_matrix, micro_qr, qr, rmqr
 from evqr.symbol.decoded import Decoded, DecodeFailure, Effort
 from evqr.symbol.space import Anchor, CodeSpace, Timing, Version
 from evqr.symbology import Symbology
@@ -27,7 +27,7 @@ class Symbol:
     Attributes
     ----------
     sizes : mapping of version to (int, int) [modules]
-        Rows and columns of every version, the smallest first; known without loading anything.
+        Rows and columns of every version, in the standard's order; known without loading anything.
     anchors : callable
         Gives what the search looks for in a version, as its code space does, without loading anything.
     timing : callable
@@ -37,6 +37,9 @@ class Symbol:
     decode : callable
         Gives what a grid says, of the grid (V, U) float64, its space, the configuration and the effort; as
         `evqr.symbol.decode.decode_grid`, but in one orientation and unchecked.
+    mirror : callable
+        Gives the grid of the mirror image of a square symbol, which the known modules do not tell from it;
+        its own inverse. Default: the transpose.
     """
 
     sizes: Mapping[Any, tuple[int, int]]
@@ -44,6 +47,7 @@ class Symbol:
     timing: Callable[[Any], tuple[Timing, ...]]
     space: Callable[[Any], CodeSpace]
     decode: Callable[[NDArray[np.float64], CodeSpace, DecodeConfig, Effort], Decoded | DecodeFailure]
+    mirror: Callable[[NDArray], NDArray] = np.transpose
 
 
 SYMBOLS: Mapping[Symbology, Symbol] = MappingProxyType(
@@ -60,6 +64,14 @@ SYMBOLS: Mapping[Symbology, Symbol] = MappingProxyType(
         ),
         Symbology.RMQR_CODE: Symbol(
             sizes=rmqr.SIZES, anchors=rmqr.anchors, timing=rmqr.timing, space=rmqr.space, decode=rmqr.decode
+        ),
+        Symbology.DATA_MATRIX: Symbol(
+            sizes=data_matrix.SIZES,
+            anchors=data_matrix.anchors,
+            timing=data_matrix.timing,
+            space=data_matrix.space,
+            decode=data_matrix.decode,
+            mirror=data_matrix.mirror,
         ),
     }
 )

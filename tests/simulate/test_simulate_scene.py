@@ -11,9 +11,11 @@ from evqr.simulate import PRESETS, CodePlacement, SceneConfig, SensorConfig, shu
 from evqr.simulate.geometry import code_corners, plan_motion, transform
 from evqr.simulate.printed import make_symbol
 from evqr.simulate.texture import gaussian_blur
-from evqr.symbol import micro_qr, rmqr
+from evqr.symbol import micro_qr
 from evqr.symbol.decode import decode_grid
 from evqr.symbol.decoded import Decoded
+from evqr.symbol.symbols import space_of
+from evqr.symbology import Symbology
 
 #: A sensor that hardly says anything, for tests of the truth alone.
 QUIET = SensorConfig(threshold=2.0)
@@ -127,16 +129,22 @@ def test_micro_qr_codes_are_printed_too(options, version, level, size):
 
 
 @pytest.mark.parametrize(
-    ("options", "version", "shape"),
-    [({"ec": "H"}, "R13x27", (13, 27)), ({"version": "R7x43"}, "R7x43", (7, 43))],
+    ("options", "symbology", "version", "level"),
+    [
+        ({"symbology": "rmqr", "ec": "H"}, Symbology.RMQR_CODE, "R13x27", "H"),
+        ({"symbology": "rmqr", "version": "R7x43"}, Symbology.RMQR_CODE, "R7x43", "M"),
+        ({"symbology": "datamatrix"}, Symbology.DATA_MATRIX, "14x14", ""),
+        ({"symbology": "datamatrix", "version": "8x48"}, Symbology.DATA_MATRIX, "8x48", ""),
+    ],
 )
-def test_rmqr_codes_are_printed_too(options, version, shape):
-    made = simulate(**{**SMALL, **options, "module_px": 4.0}, symbology="rmqr")
+def test_symbols_of_other_kinds_are_printed_too(options, symbology, version, level):
+    made = simulate(**{**SMALL, **options})
     truth = made.truth["truth"]
-    assert (truth["symbology"], truth["version"], truth["mask"]) == ("RMQRCode", version, -1)
-    assert truth["ec_level"] == options.get("ec", "M")
-    assert (truth["rows"], truth["cols"]) == truth["modules"].shape == shape
-    decoded = decode_grid(1.0 - 2.0 * truth["modules"], rmqr.space(version))
+    assert (truth["symbology"], truth["version"], truth["mask"]) == (symbology.value, version, -1)
+    assert truth["ec_level"] == level
+    space = space_of(symbology, version)
+    assert (truth["rows"], truth["cols"]) == truth["modules"].shape == space.shape
+    decoded = decode_grid(1.0 - 2.0 * truth["modules"], space)
     assert isinstance(decoded, Decoded) and decoded.text == "EVQR-07"
     assert correlation(made, truth) > 0.8
 
