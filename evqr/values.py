@@ -90,12 +90,12 @@ class Value:
 
         Parameters
         ----------
-        **fields
+        **fields : any
             All of them.
 
         Returns
         -------
-        value : an instance
+        value : Value
             As the constructor makes it, at a fraction of the cost.
         """
         made = object.__new__(cls)
