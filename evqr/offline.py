@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import itertools
 import time
 from collections import deque
 from collections.abc import Callable, Iterator, Sequence
@@ -14,7 +13,7 @@ from typing import TYPE_CHECKING, Any
 
 from evqr.clock import ONE_TIME, StageClock
 from evqr.events.buffer import EventBuffer
-from evqr.fit.detection import Detection, NotFound
+from evqr.fit.detection import Detection, NotFound, Target
 from evqr.fit.modules import CodeEstimate
 from evqr.geometry import affine_to_code
 from evqr.motion import Motion
@@ -188,20 +187,26 @@ class _Codes:
             if self._moving is None:
                 return None
             time_us, motion = self._moving
-            return Nearest(t_us=round(time_us), motion_px_per_s=motion.velocity)
+            taken = self._nearest.nearest
+            return Nearest(
+                t_us=round(time_us),
+                motion_px_per_s=motion.velocity,
+                candidates=() if taken is None else (_candidate(taken, self._nearest.closest, time_us),),
+            )
         best = self._unread[0].target
         return Nearest(
             t_us=round(best.time_us),
             motion_px_per_s=best.motion.velocity_at(best.centre),
-            candidates=tuple(
-                Candidate(
-                    symbol=f"{each.target.space.symbology.value} {each.target.space.version}",
-                    score=each.mean_score,
-                    corners_px=each.target.at(best.time_us).outline(),
-                )
-                for each in self._unread
-            ),
+            candidates=tuple(_candidate(each.target, each.mean_score, best.time_us) for each in self._unread),
         )
+
+
+def _candidate(target: Target, score: float, time_us: float) -> Candidate:
+    return Candidate(
+        symbol=f"{target.space.symbology.value} {target.space.version}",
+        score=score,
+        corners_px=target.at(time_us).outline(),
+    )
 
 
 def _score(record: CodeUnread) -> float:
@@ -248,7 +253,8 @@ def read_windows(
     """Read windows spread evenly over a recording, each alone and from cold.
 
     Windows have the length that the configuration sets, or one that suits the motion at their time;
-    ``config.max_windows`` is their number, without it they follow one another.  Beside a code that was found
+    ``config.max_windows`` is their number, without it they follow one another, and those without any event
+    are left out.  Beside a code that was found
     others are searched for, but not as thoroughly as where there is none.
 
     Parameters
@@ -379,17 +385,20 @@ def _starts(feed: _Feed, recording: Recording, solver: Solver) -> Iterator[_Star
             feed.load(start_us)
             yield _Start(index, start_us, cfg.window_us, recording.notes)
         return
-    start_us = first
-    for index in itertools.count():
-        if not feed.load(start_us):
-            return
+    start_us, index = first, 0
+    while feed.load(start_us):
         length = cfg.window_us
+        step = length or cfg.motion.probe_us
+        silent = ((events.first_from(start_us) or start_us) - start_us) // step
+        if silent:
+            start_us, index = start_us + silent * step, index + silent
+            continue
         if length is None:
             moving = events.answer(solver.motion_at(start_us))
             found = isinstance(moving, MotionEstimate)
             length = solver.window_us(moving.motion) if found else cfg.motion.probe_us
         yield _Start(index, start_us, length, recording.notes)
-        start_us += length
+        start_us, index = start_us + length, index + 1
 
 
 def _batches(starts: Iterator[_Start], events: EventBuffer, count: int) -> Iterator[list[_Start]]:

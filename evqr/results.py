@@ -269,7 +269,7 @@ class WindowReading(Value):
     reason_code : Reason or None
         The same for programs; None when read.
     window : int
-        Index of the window.
+        Index of the window; those without events, which are left out, count.
     t_start_us, t_end_us : int [us]
         Bounds of the window.
     n_events : int

@@ -229,7 +229,9 @@ class Solver:
         for detection in measured.detections(targets, regions, timings_ms=timings_ms):
             if detection.score < one.min_score:
                 detail = f"{detection.score:.2f}, where the code should be"
-                found.append(NotFound(Reason.DISAGREES, detail, detection.score, timings_ms))
+                found.append(
+                    NotFound(Reason.DISAGREES, detail, detection.score, detection.target, timings_ms)
+                )
             else:
                 found.append(detection)
         return found

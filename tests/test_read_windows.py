@@ -221,6 +221,20 @@ def test_gaps_are_windows_without_a_code():
     assert found[0].status is ReadStatus.READ
 
 
+@pytest.mark.parametrize("window_us", [None, 600])
+def test_windows_without_an_event_are_left_out_but_counted(window_us, made):
+    """An hour of them would take an hour."""
+    hour_us = 3_600_000_000
+    config = ReadConfig(window_us=window_us)
+    windows = list(read_windows(joined(made.events, made.events, gap_us=hour_us), config=config))
+    assert all(window.n_events for window in windows)
+    behind = [window for window in windows if window.t_start_us > hour_us]
+    assert len(windows) <= 2 * len(behind) + 2
+    assert [window.text for window in behind].count("EVQR-07") >= 3
+    step_us = window_us or ReadConfig().motion.probe_us
+    assert behind[0].window == pytest.approx(hour_us / step_us, abs=20)
+
+
 def test_times_of_the_stages_add_up(made):
     for w in (
         *windows_of(made.events, max_windows=2),
@@ -300,5 +314,5 @@ def test_windows_without_a_code_say_why_for_programs_too(made):
     quiet = replace(made.events, **{name: getattr(made.events, name)[::4000] for name in "txyp"})
     for window in windows_of(quiet, max_windows=3):
         assert window.status is ReadStatus.NO_CODE and window.codes == ()
-        assert window.reason_code in (Reason.TOO_FEW_EVENTS, Reason.NOTHING_MOVES)
+        assert window.reason_code in (Reason.NO_EVENTS, Reason.TOO_FEW_EVENTS, Reason.NOTHING_MOVES)
         assert window.reason.startswith(window.reason_code.text)

@@ -9,7 +9,7 @@ from backends import BACKENDS
 from scenes import at, joined, keep, middle_us, noise, scene, true_corners
 
 import evqr
-from evqr import ReadConfig, ReadStatus, Reason, Vote, read_codes, read_many, read_windows
+from evqr import AlignConfig, ReadConfig, ReadStatus, Reason, Vote, read_codes, read_many, read_windows
 from evqr.events.array import EventArray
 from evqr.motion import Motion
 from evqr.results import CodeReading
@@ -270,6 +270,16 @@ def test_a_code_right_after_something_that_looks_like_one():
     only(read_codes(joined(decoy.events, scene().events, gap_us=3_000)))
 
 
+@pytest.mark.parametrize("speed_px_ms", [4.0, 8.0])
+@pytest.mark.parametrize("travel_px", [3.0, 4.0])
+def test_a_recording_that_ends_within_the_first_windows_is_read(speed_px_ms, travel_px):
+    """Windows for the motion are cut where the recording ends: their second halves would be empty else."""
+    made = scene(speed_px_ms=speed_px_ms, travel_px=travel_px)
+    only(read_codes(made.events))
+    (first, *_) = read_windows(made.events)
+    assert first.text == "EVQR-07"
+
+
 # ---- nothing to read
 
 
@@ -289,6 +299,18 @@ def test_things_that_are_no_code_give_nothing(preset):
 
 def test_shuffled_events_give_nothing(events):
     assert_nothing(read_codes(shuffled(events, seed=1)))
+
+
+def test_where_a_search_only_disagrees_its_best_candidate_is_told():
+    made = scene()
+    nothing = read_codes(made.events, config=ReadConfig(align=AlignConfig(min_score=1.0, good_score=1.0)))
+    assert_nothing(nothing)
+    assert nothing.reason_code is Reason.DISAGREES
+    (taken,) = nothing.nearest.candidates
+    assert taken.symbol == "QRCode 2"
+    assert f"{taken.score:.2f}" in nothing.reason
+    off_px = np.abs(taken.corners_px - true_corners(made.truth["truth"], nothing.nearest.t_us)).max()
+    assert off_px < 2.0 * made.scene.codes[0].module_px
 
 
 @pytest.mark.parametrize("threads", [1, 2])

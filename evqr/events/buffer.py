@@ -56,6 +56,8 @@ class EventBuffer:
     ----------
     first_us, last_us : int or None [us]
         Times of the first and of the newest event of the stream; None before any came.
+    known_us : float [us]
+        Time to which the stream has come: all events before it were pushed; minus infinity before any came.
     pushed : int
         Events of the stream so far.
     closed : bool
@@ -70,7 +72,7 @@ class EventBuffer:
         self._stream = object()
         self._size = width, height
         self._held = _Held(_room(0, width, height), np.empty(0, np.uint32), 0, 0, 0)
-        self._known_us: float = -np.inf
+        self.known_us: float = -np.inf
         self._forgotten_us: float = -np.inf
 
     @classmethod
@@ -116,9 +118,9 @@ class EventBuffer:
         if count == 0:
             return
         first_us = int(events.t[0])
-        if first_us < self._known_us:
+        if first_us < self.known_us:
             raise ValueError(
-                f"events must come in order of time: {first_us} us came after {self._known_us} us"
+                f"events must come in order of time: {first_us} us came after {self.known_us} us"
             )
         held = self._held
         if held.last + count > len(held.block):
@@ -133,7 +135,7 @@ class EventBuffer:
         if self.first_us is None:
             self.first_us = first_us
         self.last_us = int(events.t[-1])
-        self._known_us = self.last_us
+        self.known_us = self.last_us
         self.pushed += count
 
     def _moved(self, held: _Held, count: int) -> _Held:
@@ -154,7 +156,7 @@ class EventBuffer:
         time_us : int [us]
             The time.
         """
-        self._known_us = max(self._known_us, time_us)
+        self.known_us = max(self.known_us, time_us)
 
     def close(self) -> None:
         """Say that the stream has ended."""
@@ -173,7 +175,7 @@ class EventBuffer:
         reaches : bool
             Whether it did.
         """
-        return self._known_us >= time_us
+        return self.known_us >= time_us
 
     def forget(self, before_us: float) -> None:
         """Let go of events before a time; no window may begin there any more.
@@ -218,6 +220,23 @@ class EventBuffer:
         """
         return self.pushed - self.count_before(time_us)
 
+    def first_from(self, time_us: float) -> int | None:
+        """Give the time of the first event at a time or later.
+
+        Parameters
+        ----------
+        time_us : float [us]
+            The time, which must not be forgotten.
+
+        Returns
+        -------
+        time_us : int or None [us]
+            None where none has come yet.
+        """
+        held = self._held
+        place = held.place_of(time_us)
+        return int(held.block.t[place]) if place < held.last else None
+
     def window(self, start_us: int, end_us: int) -> Window:
         """Cut a window.
 
@@ -242,8 +261,8 @@ class EventBuffer:
             raise ValueError(
                 f"a window from {start_us} us begins in what is forgotten, up to {self._forgotten_us} us"
             )
-        if not self.closed and end_us > self._known_us:
-            raise ValueError(f"a window to {end_us} us ends after what has come, up to {self._known_us} us")
+        if not self.closed and end_us > self.known_us:
+            raise ValueError(f"a window to {end_us} us ends after what has come, up to {self.known_us} us")
         held = self._held
         first, last = held.place_of(start_us), held.place_of(end_us)
         last = max(first, last)

@@ -207,6 +207,8 @@ class NotFound(Value):
         What it was in this case; empty where the reason says it all.
     closest : float
         Correlation of the best candidate with the known modules; 0 without one.
+    nearest : Target or None
+        That candidate, as far as it was refined.
     timings_ms : mapping of str to float [ms]
         By stage; does not count in comparisons.
     """
@@ -214,6 +216,7 @@ class NotFound(Value):
     reason: Reason
     detail: str = ""
     closest: float = 0.0
+    nearest: Target | None = field(default=None, repr=False)
     timings_ms: Mapping[str, float] = field(default=NO_TIMINGS, compare=False)
 
     def __str__(self) -> str:

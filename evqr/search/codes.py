@@ -51,8 +51,10 @@ class _Window:
     ) -> None:
         self.index, self.motion, self.tau_us = index, motion, tau_us
         self.codes: list[Detection] = []
-        self.closest = 0.0
         self.tried = 0
+        # what agrees best: of what was looked at closely, and of what was only scored
+        self._closest: tuple[float, Target | None] = 0.0, None
+        self._best_match: tuple[float, Hypotheses | None] = 0.0, None
         self._cfg = cfg
         self.take(found, last=len(cfg.finder.passes) == 1)
 
@@ -96,6 +98,8 @@ class _Window:
         both = Hypotheses.joined([self._matching, hypotheses])
         order = np.argsort(-match, kind="stable")
         best = order[match[order] >= least]
+        if not both.single and match[order[0]] > self._best_match[0]:
+            self._best_match = float(match[order[0]]), both[order[:1]]
         self._matching, self._match = both[best], match[best]
 
     def rows(self) -> list[_Row]:
@@ -137,10 +141,12 @@ class _Window:
         """Give the hypotheses that have no finder pattern of a code."""
         return hypotheses[self._are_free(hypotheses, set())] if self._taken.any() else hypotheses
 
-    def failed(self, closest: float) -> None:
+    def failed(self, score: float, target: Target) -> None:
         """Note that what was looked at is no code."""
         self._failures += 1
-        self.closest = max(self.closest, closest)
+        closest, nearest = self._closest
+        if nearest is None or score > closest:
+            self._closest = max(score, 0.0), target
 
     def found(self, code: Detection) -> None:
         """Take a code.  Where it agrees well, the finder patterns within it are its own."""
@@ -164,8 +170,13 @@ class _Window:
             return tuple(kept)
         if not self.tried:
             return NotFound(Reason.NO_FINDER_PATTERNS, f"{len(self.peaks)} candidates")
-        detail = f"{self.closest:.2f}, the best of {self.tried} candidates"
-        return NotFound(Reason.DISAGREES, detail, self.closest)
+        closest, nearest = self._closest
+        match, best = self._best_match
+        if nearest is None and best is not None:
+            closest = match
+            nearest = Target(best.space(0), best.pose[0], self.motion)
+        detail = f"{closest:.2f}, the best of {self.tried} candidates"
+        return NotFound(Reason.DISAGREES, detail, closest, nearest)
 
 
 def _inside(
@@ -328,10 +339,12 @@ def _try(
     one = cfg.align
     with clock("pose"):
         candidates = _candidates(rows, pyramid, cfg, workspace)
+    left = []
     for row, some in zip(rows, candidates, strict=True):
-        if not some:
-            row.window.failed(0.0)
-    left = [(row, some) for row, some in zip(rows, candidates, strict=True) if some]
+        if some[0].score < one.coarse_score:
+            row.window.failed(some[0].score, Target(some[0].space, some[0].pose, row.window.motion))
+        else:
+            left.append((row, [candidate for candidate in some if candidate.score >= one.coarse_score]))
     if not left:
         return
     picked = batch.pick([row.window.index for row, _ in left])
@@ -348,7 +361,7 @@ def _try(
     for k, ((row, some), refinement) in enumerate(zip(left, refined, strict=True)):
         steps = refinement.iterations + sum(candidate.iterations for candidate in some)
         if refinement.score < one.min_score:
-            row.window.failed(refinement.score)
+            row.window.failed(refinement.score, refinement.detection.target)
         else:
             good.append((k, row.window, replace(refinement, iterations=steps)))
     if not good:
@@ -363,7 +376,7 @@ def _try(
     )
     for (_, window, _), code in zip(good, codes, strict=True):
         if code.space.single_pattern and code.score < one.single_score:
-            window.failed(code.score)
+            window.failed(code.score, code.target)
         else:
             window.found(code)
 
@@ -380,7 +393,7 @@ def _sizes_of(hypotheses: Hypotheses, most: int) -> list[Candidate]:
 def _candidates(
     rows: list[_Row], pyramid: Pyramid, cfg: ReadConfig, workspace: Workspace
 ) -> list[list[Candidate]]:
-    """Give what is refined of each place, best first: aligned coarsely, but where a pattern was so alone."""
+    """Give what may be refined of each place, best first: aligned coarsely, unless a pattern was so alone."""
     one = cfg.align
     most = one.refined_candidates
     several = [row for row in rows if not row.hypotheses.single]
@@ -395,7 +408,6 @@ def _candidates(
         if row.hypotheses.single:
             some = _sizes_of(row.hypotheses, cfg.finder.single_candidates)
         else:
-            some = [candidate for candidate in islice(screened, count) if candidate.score >= one.coarse_score]
-            some = sorted(some, key=lambda candidate: -candidate.score)[:most]
+            some = sorted(islice(screened, count), key=lambda candidate: -candidate.score)[:most]
         found.append(some)
     return found

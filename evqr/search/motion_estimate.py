@@ -183,10 +183,13 @@ def estimate_motions(
     Returns
     -------
     estimates : list of MotionEstimate or Reason
-        TOO_FEW_EVENTS in a half of the window, or NOTHING_MOVES where the halves do not correlate.
+        NO_EVENTS at all, TOO_FEW_EVENTS in a half of the window, or NOTHING_MOVES where the halves do not
+        correlate.
     """
-    found: list[MotionEstimate | Reason] = [Reason.TOO_FEW_EVENTS] * len(windows)
-    middles = [window.events.first_at(window.middle_us) for window in windows]
+    found: list[MotionEstimate | Reason] = [
+        Reason.TOO_FEW_EVENTS if len(window) else Reason.NO_EVENTS for window in windows
+    ]
+    middles = [_middle_of(window, cfg) for window in windows]
     waiting = [
         (k, _Sample.of(window, middle, cfg.most_events), reach)
         for k, (window, middle) in enumerate(zip(windows, middles, strict=True))
@@ -214,6 +217,18 @@ def estimate_motions(
             else:
                 found[k] = _estimate(sample, middles[k], shift * reduction, correlation, agree, cfg)
     return found
+
+
+def _middle_of(window: Window, cfg: MotionConfig) -> int:
+    """Give the place of the first event of a window's second half.
+
+    Where its events end early, as a recording may do, the time in which there are any is halved instead.
+    """
+    middle = window.events.first_at(window.middle_us)
+    if 0 < len(window) < middle + cfg.fewest_events // 2:
+        last_us = int(window.events.t[-1])
+        middle = window.events.first_at((window.start_us + last_us + 1) // 2)
+    return middle
 
 
 def _correlate(
@@ -342,7 +357,8 @@ def motion_probes(
     Returns
     -------
     estimate : MotionEstimate or Reason
-        As of `estimate_motion`.
+        As of `estimate_motion`; NO_EVENTS where there is none in the shortest window: a longer one would
+        show what one shows that begins later.
 
     Yields
     ------
@@ -355,6 +371,8 @@ def motion_probes(
         if not quiet.covers(start_us, length):
             # what is so fast that halves of the shortest window are far apart is no better seen in a longer
             coarse = yield Probe(start_us, start_us + length, cfg.reduction, length == cfg.probe_us)
+            if coarse is Reason.NO_EVENTS:
+                return coarse
             if isinstance(coarse, MotionEstimate) and coarse.motion.travel_px(length) >= LEAST_TRAVEL_PX:
                 guess = coarse.motion
                 break

@@ -57,6 +57,11 @@ class _Try:
     window: Window | None
     found: tuple[Detection, ...] | NotFound
 
+    @property
+    def silent(self) -> bool:
+        """Whether there was no event to search."""
+        return isinstance(self.found, NotFound) and self.found.reason is Reason.NO_EVENTS
+
 
 class StreamScheduler:
     """Reads all codes of a stream whose events come bit by bit.
@@ -278,6 +283,20 @@ class StreamScheduler:
                 return
             at_us = yield from self._search_once(at_us)
 
+    def _first_event(self, from_us: int) -> Asking[int]:
+        """Wait for the first event from a time on; say when it is, or a time past the end of the stream.
+
+        However long that is, nothing is done meanwhile.
+        """
+        events = self._events
+        while (at_us := events.first_from(from_us)) is None:
+            now_us = int(events.known_us)
+            if events.closed:
+                return now_us + 1
+            yield now_us, now_us + 1
+        yield at_us, at_us + 1
+        return at_us
+
     def _search_once(self, at_us: int) -> Asking[int]:
         """Search at a time, and ahead of it on the other threads, and say when to search again [us]."""
         tries = yield from self._tries(at_us)
@@ -285,6 +304,8 @@ class StreamScheduler:
             (k for k, tried in enumerate(tries) if not isinstance(tried.found, NotFound)), len(tries) - 1
         )
         for tried in tries[: last + 1]:  # what was searched behind a find will be searched again
+            if tried.silent:
+                continue
             self._searches += 1
             self._windows += tried.window is not None
             self._take(tried)
@@ -292,6 +313,9 @@ class StreamScheduler:
             self._vain = self._vain + 1 if vain else 0
         motion, start_us = tries[last].motion, tries[last].start_us
         self._motion = motion
+        if tries[last].silent:
+            self._vain = 0
+            return (yield from self._first_event(start_us))
         if motion is None:
             return start_us + self._config.scheduler.unknown_us
         return start_us + self._step_us(motion)

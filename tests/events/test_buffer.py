@@ -177,6 +177,15 @@ def test_time_may_pass_without_events():
     assert buffer.last_us == 502
 
 
+def test_the_first_event_from_a_time_on():
+    buffer = EventBuffer(64, 48)
+    assert buffer.first_from(0) is None
+    buffer.push(events_at([5, 7]))
+    buffer.forget(6)
+    buffer.push(events_at([7, 9]))
+    assert [buffer.first_from(time) for time in (6, 7, 7.5, 9, 10)] == [7, 7, 9, 9, None]
+
+
 def test_a_closed_stream_has_windows_beyond_its_end():
     buffer = of(events_at([0, 10]))
     buffer.close()

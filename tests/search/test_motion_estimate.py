@@ -269,13 +269,23 @@ def test_noise_does_not_move(count, workspace):
 @pytest.mark.parametrize("count", [0, 1, 150])
 def test_too_few_events_say_nothing(count, workspace):
     few = estimate_motion(make_window(noise(count, 1000), 0, 1000), CONFIG, workspace=workspace)
-    assert few is Reason.TOO_FEW_EVENTS
+    assert few is (Reason.TOO_FEW_EVENTS if count else Reason.NO_EVENTS)
     if count:
         assert isinstance(find(noise(count, 1000), workspace=workspace), Reason)
 
 
-def test_events_in_one_half_only_say_nothing(workspace):
+def test_events_of_the_second_half_alone_say_nothing(workspace):
     made, _ = small(direction=50.0)
     window = window_of(made)
-    half = estimate_motion(window.keep(window.t < 0.0), CONFIG, workspace=workspace)
+    half = estimate_motion(window.keep(window.t > 0.0), CONFIG, workspace=workspace)
     assert half is Reason.TOO_FEW_EVENTS
+
+
+@pytest.mark.parametrize("share", [0.5, 0.8])
+def test_where_events_end_early_the_time_in_which_there_are_any_is_halved(share, workspace):
+    made, velocity = small(direction=50.0)
+    window = window_of(made, 5.0)
+    until = window.start_us + round(share * (window.end_us - window.start_us))
+    early = estimate_motion(window.keep(window.events.t < until), CONFIG, workspace=workspace)
+    assert isinstance(early, MotionEstimate)
+    assert np.hypot(*(early.motion.velocity - velocity)) < 0.1 * np.hypot(*velocity)

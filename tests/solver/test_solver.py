@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 from scenes import at, corners, find, middle_us, motion_at, noise, scene, window_of
 
-from evqr.config import ReadConfig
+from evqr.config import AlignConfig, FinderConfig, ReadConfig
 from evqr.events.array import EventArray
 from evqr.events.batch import EventBatch
 from evqr.events.window import make_window
@@ -117,6 +117,29 @@ def test_a_window_without_a_code_gives_a_reason(count, solver):
     assert unseen.reason in (Reason.NO_FINDER_PATTERNS, Reason.DISAGREES)
     assert str(unseen).startswith(unseen.reason.text)
     assert 0.0 <= unseen.closest < solver.config.align.min_score
+
+
+@pytest.mark.parametrize(
+    "config",
+    [
+        ReadConfig(align=AlignConfig(min_score=1.0, good_score=1.0)),
+        ReadConfig(align=AlignConfig(coarse_score=1.0)),
+        ReadConfig(finder=FinderConfig(min_match=1.0, single_patterns=0)),
+    ],
+    ids=["refined", "screened", "scored"],
+)
+def test_what_came_closest_is_told_however_far_it_was_looked_at(config):
+    made = scene()
+    window = window_of(made)
+    unseen = find(Solver(config), window, true_motion(made))
+    assert isinstance(unseen, NotFound)
+    assert unseen.reason is Reason.DISAGREES
+    assert 0.2 < unseen.closest < 1.0
+    assert str(unseen).startswith(f"{Reason.DISAGREES.text}: {unseen.closest:.2f}, the best of")
+    assert unseen.nearest is not None
+    pose = at(made.truth["truth"], "H", window.middle_us)
+    off_px = np.abs(unseen.nearest.outline() - corners(pose, unseen.nearest.space.size)).max()
+    assert off_px < 2.0 * made.scene.codes[0].module_px
 
 
 def test_what_does_not_move_cannot_be_seen(solver):

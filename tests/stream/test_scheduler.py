@@ -10,6 +10,7 @@ from stream_steps import cut_anywhere, cut_every, records_of
 
 from evqr import ReadConfig, read_codes
 from evqr.config import SchedulerConfig
+from evqr.events.buffer import EventBuffer
 from evqr.fit.detection import Detection, NotFound, Target
 from evqr.motion import Motion
 from evqr.reason import Reason
@@ -223,7 +224,7 @@ def test_time_that_passes_without_events_lets_a_code_leave(solver):
     (left,) = kinds(scheduler.step(int(events.t[-1]) + 100_000), CodeLeft)
     assert left.code == 0
     assert left.t_last_us <= events.t[-1] + 2_000
-    assert left.t_last_us < scheduler.settled_us < events.t[-1] + 100_000
+    assert left.t_last_us < scheduler.settled_us <= events.t[-1] + 100_000
 
 
 def test_a_code_that_does_not_decode_says_how_well_it_agrees(solver, monkeypatch):
@@ -256,6 +257,36 @@ def test_events_after_a_silence_are_read(solver):
     (read,) = kinds(records, CodeRead)
     assert (read.code, read.reading.text) == (1, "EVQR-07")
     assert read.reading.t_first_us >= 500_000
+
+
+def test_hours_without_events_are_one_step(monkeypatch, solver):
+    first = scene(version=1, module_px=4.0, travel_px=8.0, **VIEW).events
+    asked, window = [], EventBuffer.window
+    monkeypatch.setattr(EventBuffer, "window", lambda *bounds: asked.append(1) or window(*bounds))
+    counts = []
+    for gap_us in (200_000, 3_600_000_000):
+        asked.clear()
+        result = read_codes(joined(first, first, gap_us=gap_us))
+        assert [reading.text for reading in result.readings] == ["EVQR-07", "EVQR-07"]
+        counts.append((len(asked), result.seen.searches, result.seen.windows))
+    assert counts[0] == counts[1]
+    assert counts[0][0] < 60
+
+
+@pytest.mark.parametrize("step_us", [700, 30_000])
+def test_silence_is_the_same_whether_its_end_is_known_or_not(step_us, solver):
+    """Also where events begin again within the shortest window after a code has gone."""
+    code = scene(version=1, module_px=4.0, travel_px=8.0, **VIEW).events
+    few = noise(30, 40_000, width=VIEW["width"], height=VIEW["height"])
+    events = joined(code, few, code, code, gap_us=60_700)
+    at_once = records_of([events], solver)
+    assert records_of(cut_every(events, step_us), solver) == at_once
+    scheduler = StreamScheduler([solver], events.width, events.height)
+    scheduler.push(events)
+    records = []
+    for until in range(0, int(events.t[-1]), step_us):
+        records += scheduler.step(until)
+    assert (records + scheduler.close(), scheduler.statistics) == at_once
 
 
 def test_a_stream_without_events(solver):
