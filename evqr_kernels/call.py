@@ -15,7 +15,7 @@ import numpy as np
 from numpy.typing import DTypeLike, NDArray
 
 from evqr_kernels.backend import Array, KernelBackend
-from evqr_kernels.checks import ArrayChecks, check_size
+from evqr_kernels.checks import ArrayChecks, check_apart, check_counts, check_size
 from evqr_kernels.errors import OperationRefused
 from evqr_kernels.interop import host_view
 from evqr_kernels.operation import (
@@ -143,6 +143,8 @@ def _check_values(operation: Operation, given: Mapping[str, Any], checks: ArrayC
             checks.at_most(array.name, given[array.name], [size_of(n, checks.sizes) for n in array.most])
         if array.check and given[array.name] is not None:
             array.check(given[array.name])
+    if operation.check_values:
+        operation.check_values(given, checks.sizes)
 
 
 def _is_plain(array: Input | Output) -> bool:
@@ -255,7 +257,10 @@ def _run(operation: Operation, given: dict[str, Any], name: str, device: str | N
         values[argument.name] = value
     run_operation(backend, operation, values)
     backend.synchronize(device)
-    return [_brought_back(backend, host, there) for host, there in returned]
+    results = [_brought_back(backend, host, there) for host, there in returned]
+    if operation.accumulates and "window_ptr" in given:
+        check_counts(given["window_ptr"], results)
+    return results
 
 
 def _host_output(
@@ -270,6 +275,7 @@ def _host_output(
         return np.zeros(shape, output.dtype(floats))
     if not out.flags.writeable:
         raise ValueError("out must be writable, it gets the result: give a copy of it, or no out")
+    check_apart("out", out, given)
     return out
 
 

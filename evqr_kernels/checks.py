@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from typing import Any
 
 import numpy as np
@@ -28,6 +28,10 @@ MOST_EVENTS = 2**30
 """Of a call: kernels add a window's first event to the number of one within it."""
 
 
+MOST_COUNTED = 2**24
+"""To which float32 counts by one."""
+
+
 def check_size(name: str, shape: tuple[int, ...]) -> None:
     """Raise ValueError for an array with more elements than an index can tell apart, or a size below 0."""
     if any(size < 0 for size in shape):
@@ -44,10 +48,38 @@ def check_contiguous(name: str, contiguous: bool) -> None:
         raise ValueError(f"{name} must be contiguous, it is not copied: give np.ascontiguousarray({name})")
 
 
+def check_aligned(name: str, aligned: bool) -> None:
+    """Raise ValueError for an array whose elements lie where a processor does not expect them."""
+    if not aligned:
+        raise ValueError(f"{name} must be aligned in memory, it is not copied: give {name}.copy()")
+
+
 def check_dtype(name: str, dtype: DTypeLike) -> None:
     """Raise TypeError for a dtype that no kernel works on."""
     if np.dtype(dtype) not in DTYPES:
         raise TypeError(f"{name} must be float32, float64, int32, uint16 or uint32, got {np.dtype(dtype)}")
+
+
+def check_counts(window_ptr: Ints, images: Sequence[NDArray[Any]]) -> None:
+    """Raise ValueError for sums of so many events that float32 no longer tells one more."""
+    ends = window_ptr[:, 1] - window_ptr[:, 0] if window_ptr.ndim == 2 else np.diff(window_ptr)
+    if ends.max(initial=0) < MOST_COUNTED:
+        return
+    for image in images:
+        if image.dtype == np.float32 and np.abs(image).max(initial=0.0) >= MOST_COUNTED:
+            raise ValueError(
+                f"images in float32 count to {MOST_COUNTED}, and a window of {ends.max()} events got there: "
+                "give float64 arrays, or shorter windows"
+            )
+
+
+def check_apart(name: str, array: NDArray[Any], others: Mapping[str, Any]) -> None:
+    """Raise ValueError if an array that is written shares memory with one that is read."""
+    for other, value in others.items():
+        if isinstance(value, np.ndarray) and np.may_share_memory(array, value):
+            raise ValueError(
+                f"{name} must not share memory with {other}, which is read meanwhile: give another array"
+            )
 
 
 class ArrayChecks:
@@ -82,7 +114,9 @@ class ArrayChecks:
         """Raise unless ``array`` is of these integers and has the shape."""
         self._numpy(name, array)
         if array.dtype != np.dtype(dtype):
-            raise TypeError(f"{name} must be {np.dtype(dtype)}, got {array.dtype}")
+            wanted = np.dtype(dtype)
+            remedy = f": give {name}.astype('{wanted}')" if array.dtype.kind in "iu" else ""
+            raise TypeError(f"{name} must be {wanted}, got {array.dtype}{remedy}")
         self._shape(name, array, shape)
 
     def windows(self, window_ptr: Any) -> None:

@@ -14,7 +14,7 @@ from dataclasses import dataclass
 from typing import Any, TypeVar
 
 import numpy as np
-from numpy.typing import DTypeLike
+from numpy.typing import DTypeLike, NDArray
 
 from evqr_kernels import ops
 from evqr_kernels.backend import Array
@@ -79,7 +79,14 @@ class Rule:
         """Raise TypeError or ValueError unless the inputs fit.  Looks at no values."""
         # of the same shapes and dtypes, in four bytes each
         likes = {name: np.broadcast_to(np.zeros((), dtypes[name]), shapes[name]) for name in self.inputs}
-        check_call(self.operation, {**likes, **dict(self.settings)})
+        self._check(likes, shapes, values=False)
+
+    def check_host(self, arrays: Mapping[str, NDArray[Any]]) -> None:
+        """Raise TypeError or ValueError unless the inputs, in the host's memory, fit: shapes and values."""
+        self._check(arrays, {name: array.shape for name, array in arrays.items()}, values=True)
+
+    def _check(self, arrays: Mapping[str, NDArray[Any]], shapes: Shapes, *, values: bool) -> None:
+        check_call(self.operation, {**arrays, **dict(self.settings)}, values=values)
         forward, backward = (
             op.variant("warp", "cpu").tile for op in (self.operation, self.adjoint_operation)
         )

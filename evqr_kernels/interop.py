@@ -14,7 +14,7 @@ from typing import Any
 import numpy as np
 
 from evqr_kernels.backend import Array
-from evqr_kernels.checks import check_contiguous, check_dtype
+from evqr_kernels.checks import check_aligned, check_contiguous, check_dtype
 from evqr_kernels.registry import get_backend
 
 PROTOCOLS = ("__dlpack__", "__cuda_array_interface__", "__array_interface__")
@@ -42,7 +42,7 @@ def host_view(name: str, value: Any) -> Any:
         If the array is not in the host's memory, or does not give it away (one that takes part in automatic
         differentiation, say).
     ValueError
-        If it is not contiguous: it would have to be copied.
+        If it is not contiguous, or not aligned: it would have to be copied.
     """
     if isinstance(value, np.generic) or not _speaks(value, *PROTOCOLS):
         return value
@@ -56,6 +56,7 @@ def host_view(name: str, value: Any) -> Any:
         with _as_type_error(name):
             view = np.from_dlpack(value) if _speaks(value, "__dlpack__") else np.asarray(value)
     check_contiguous(name, view.flags.c_contiguous)
+    check_aligned(name, view.flags.aligned)
     return view
 
 

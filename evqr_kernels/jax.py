@@ -14,8 +14,10 @@ Saved for the backward pass are the inputs alone.  It makes adjoints in all inpu
 differentiable in; other inputs get a gradient of zero.  Adjoints are not differentiable once more; `jax.vmap`
 calls one after the other.
 
-They raise TypeError and ValueError as those functions do.  But they look at no values of arrays: windows,
-indices, frames and extents must be right.
+They raise TypeError and ValueError as those functions do.  Values of arrays are looked at on the CPU: a
+function that was traced raises such a line when it runs, as an error of JAX.  On a GPU nobody looks: where
+windows, indices or extents are wrong, results are wrong too, but nothing outside the arrays is read or
+written.
 """
 
 from __future__ import annotations
@@ -76,6 +78,8 @@ def _apply(rule: Rule, *arrays: jax.Array) -> jax.Array:
         _array(name, array)
     dtypes = {name: array.dtype for name, array in zip(rule.inputs, arrays, strict=True)}
     rule.check(_shapes(rule, arrays), dtypes)
+    if not any(isinstance(array, jax.core.Tracer) for array in arrays) and _on_cpu():
+        rule.check_host({name: np.asarray(a) for name, a in zip(rule.inputs, arrays, strict=True)})
     return _differentiable(rule, *arrays)
 
 
@@ -148,6 +152,8 @@ def _forward(rule: Rule, dtype: str, input_ranks: Ranks, output_rank: int, scrat
     backend = get_backend("warp")
 
     def run(given: Sequence[Any], results: Sequence[Any]) -> None:
+        if results[0].device.is_cpu:
+            rule.check_host({name: array.numpy() for name, array in zip(rule.inputs, given, strict=True)})
         rule.forward(backend, given, results[1:], results[0])
 
     return _Call(
@@ -170,7 +176,11 @@ def _adjoint(
 
 def _tile(op: str) -> int:
     """Give the backend's tile where JAX computes: it tells no device while it traces."""
-    return get_backend("warp").tile(op, "cpu" if jax.default_backend() == "cpu" else "cuda:0")
+    return get_backend("warp").tile(op, "cpu" if _on_cpu() else "cuda:0")
+
+
+def _on_cpu() -> bool:
+    return jax.default_backend() == "cpu"
 
 
 def _kinds(rule: Rule, dtype: str, ranks: Ranks) -> list[wp.array]:

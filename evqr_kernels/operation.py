@@ -14,6 +14,7 @@ from __future__ import annotations
 import enum
 import functools
 import math
+import operator
 from collections import defaultdict
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
@@ -228,6 +229,8 @@ class Operation:
         Inputs that are just added: their adjoint is that of the output.
     check : callable or None
         Raises ValueError unless shapes and settings fit each other.
+    check_values : callable or None
+        Raises ValueError unless contents fit each other; called where the host can read them.
     floats : tuple
         Float dtypes that it computes in.
     """
@@ -240,6 +243,7 @@ class Operation:
     adjoint: str | None = None
     passes_on: tuple[str, ...] = ()
     check: Callable[[Arrays, Sizes], None] | None = None
+    check_values: Callable[[Arrays, Sizes], None] | None = None
     floats: tuple[type[np.floating[Any]], ...] = (np.float32, np.float64)
 
     @functools.cached_property
@@ -335,11 +339,26 @@ def buffers_behind(operation: Operation, given: Sequence[Any], settings: Sizes, 
 
 
 def letters_of(setting: Setting, value: Any) -> Iterator[tuple[str, int]]:
-    """Give the sizes that a setting stands for."""
-    if len(setting.letters) == 1:
-        yield setting.letters[0], value
-    elif setting.letters:
-        yield from zip(setting.letters, value, strict=True)
+    """Give the sizes that a setting stands for.
+
+    Raises
+    ------
+    TypeError
+        If they are no whole numbers.
+    ValueError
+        If there are not as many as there should be.
+    """
+    if not setting.letters:
+        return
+    several = len(setting.letters) > 1
+    wanted = f"({', '.join(setting.letters)}), whole numbers" if several else "a whole number"
+    try:
+        sizes = [operator.index(size) for size in (value if several else (value,))]
+    except TypeError:
+        raise TypeError(f"{setting.name} must be {wanted}, got {value!r}") from None
+    if len(sizes) != len(setting.letters):
+        raise ValueError(f"{setting.name} must be {wanted}, got {value!r}")
+    yield from zip(setting.letters, sizes, strict=True)
 
 
 def checked_name(argument: Argument) -> str:

@@ -15,8 +15,9 @@ place until then.  It makes adjoints in all inputs that an operation is differen
 Adjoints are not differentiable once more.
 
 They raise TypeError and ValueError as those functions do, also for a tensor that is not contiguous, is on
-another device than the first, or requires a gradient that the operation does not have.  But they look at no
-values of tensors (that would wait for the device): windows, indices, frames and extents must be right.
+another device than the first, or requires a gradient that the operation does not have.  Of tensors on a GPU
+they look at no values, for that would wait for the device: where windows, indices or extents are wrong there,
+results are wrong too, but nothing outside the tensors is read or written.
 """
 
 from __future__ import annotations
@@ -78,7 +79,8 @@ def _apply(rule: Rule, *tensors: Tensor) -> Tensor:
     for name, tensor in named.items():
         _tensor(name, tensor)
         if tensor.dtype not in _DTYPES:
-            raise TypeError(f"{name} must be float32, float64 or int32, got {tensor.dtype}")
+            remedy = "" if tensor.is_floating_point() else f": give {name}.int()"
+            raise TypeError(f"{name} must be float32, float64 or int32, got {tensor.dtype}{remedy}")
         if tensor.device != device:
             raise ValueError(f"{name} must be on {device} like the tensors before it, got {tensor.device}")
         if not tensor.is_contiguous():
@@ -87,7 +89,10 @@ def _apply(rule: Rule, *tensors: Tensor) -> Tensor:
             raise ValueError(
                 f"{name} must not require a gradient: {rule.op} has one in {', '.join(rule.varied)}"
             )
-    rule.check(_shapes(rule, tensors), {name: _DTYPES[tensor.dtype] for name, tensor in named.items()})
+    if device.type == "cpu":
+        rule.check_host({name: tensor.detach().numpy() for name, tensor in named.items()})
+    else:
+        rule.check(_shapes(rule, tensors), {name: _DTYPES[tensor.dtype] for name, tensor in named.items()})
     return _Function.apply(rule, *tensors)
 
 

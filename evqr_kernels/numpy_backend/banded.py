@@ -10,6 +10,8 @@ from evqr_kernels.numpy_backend.solve import apply_stencil
 def solve_code_banded(rhs, stencil, damping, free, band_out, q_inout) -> None:
     """Dense solution over the free modules; q is updated in place, the band is not used."""
     is_free = free != 0
+    if not free.size:
+        return
     for b in range(len(rhs)):
         right = -rhs[b] - apply_stencil(stencil[b], np.where(is_free, 0, q_inout[b]))
         units = np.eye(free.size, dtype=rhs.dtype).reshape(-1, *free.shape)[is_free.ravel()]

@@ -13,7 +13,8 @@ def clip_outliers(image, factor, rows_out, limit_out, image_out, busy_out) -> No
     busy_out[:] = count
     limit_out[:] = factor * total / np.maximum(count, 1)
     high = limit_out[:, None, None]
-    image_out[:] = np.clip(image, -high, high)
+    # of what is not a number neither comparison holds: it stays, and is no limit
+    image_out[:] = np.where(image > high, high, np.where(image < -high, -high, image))
 
 
 def reduce_image(image, ratio, rows_out, image_out) -> None:

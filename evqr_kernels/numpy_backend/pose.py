@@ -36,6 +36,8 @@ def corners(
 ) -> list[tuple[NDArray, NDArray, NDArray, NDArray]]:
     """(row, column, share, inside) of the four pixels around each position."""
     height, width = shape
+    if not height * width:
+        return []
     inside = (x >= 0) & (y >= 0) & (x < width - 1) & (y < height - 1)
     x, y = np.where(inside, x, 0), np.where(inside, y, 0)
     column, row = x.astype(int), y.astype(int)

@@ -34,7 +34,7 @@ def _solve_window(rhs, stencil, damping, free, q, max_iterations, tolerance) -> 
     direction = np.zeros_like(residual)
     norm = before = start = np.sum(residual * residual)
     for iteration in range(max_iterations):
-        if norm <= tolerance**2 * start:
+        if not norm > tolerance**2 * start:  # also of what is not finite
             return iteration
         direction = residual + norm / before * direction
         product = system(direction)

@@ -12,14 +12,13 @@ from evqr_kernels.config import SplatConfig
 
 def bin_events(x, y, weight, window_ptr, reduction, image_out) -> None:
     """Count events into pixels of ``reduction`` px; accumulates."""
-    x, y, weight = (array[: window_ptr[-1]] for array in (x, y, weight))
     scale = x.dtype.type(1.0 / reduction)
     half = x.dtype.type(0.5)
     _, height, width = image_out.shape
     column = np.floor((x + half) * scale)
     row = np.floor((y + half) * scale)
-    use = (row >= 0) & (column >= 0) & (row < height) & (column < width)
-    window = _window_of_event(window_ptr, len(x))
+    window = window_of_event(window_ptr, len(x))
+    use = (window >= 0) & (row >= 0) & (column >= 0) & (row < height) & (column < width)
     np.add.at(image_out, (window[use], row[use].astype(int), column[use].astype(int)), weight[use])
 
 
@@ -75,7 +74,7 @@ def taps_of(x, y, t, weight, window_ptr, motion, lag, frame, shape, cfg: SplatCo
     """Find the pixels around each event, where it is at the reference time."""
     _, height, width = shape
     half = x.dtype.type(0.5)
-    window = _window_of_event(window_ptr, len(x))
+    window = window_of_event(window_ptr, len(x))
     origin, scale = frame[window, :2], frame[window, 2]
     dx = x - (origin[:, 0] - half + half * scale * x.dtype.type(width))
     dy = y - (origin[:, 1] - half + half * scale * x.dtype.type(height))
@@ -84,7 +83,8 @@ def taps_of(x, y, t, weight, window_ptr, motion, lag, frame, shape, cfg: SplatCo
     cy = (y - t * m[:, 1] - origin[:, 1] + half) / scale - half
     margin = 2 * cfg.reach + 1
     # also false for NaN
-    event = np.flatnonzero((cx > -margin) & (cy > -margin) & (cx < width + margin) & (cy < height + margin))
+    near = (cx > -margin) & (cy > -margin) & (cx < width + margin) & (cy < height + margin)
+    event = np.flatnonzero(near & (window >= 0))
     window, m, cx, cy = window[event], m[event], cx[event], cy[event]
 
     around = np.arange(-cfg.reach, cfg.reach + 1)
@@ -92,7 +92,7 @@ def taps_of(x, y, t, weight, window_ptr, motion, lag, frame, shape, cfg: SplatCo
     row = np.floor(cy + half).astype(int)[:, None] + around
     speed = np.hypot(m[:, 0], m[:, 1])
     lag_px = np.where(weight[event] < 0, lag[window, 1], lag[window, 0])
-    lag_px = np.divide(lag_px, speed, out=np.zeros_like(speed), where=speed > 0)
+    lag_px = np.divide(lag_px, speed, out=lag_px.copy(), where=speed > 0)
     row, column = row[:, :, None], column[:, None, :]
     return Taps(
         event,
@@ -117,5 +117,7 @@ def _velocity(motion: NDArray, dx: NDArray, dy: NDArray) -> NDArray:
     return motion[:, :2] + field[:, :, 0] * dx[:, None] + field[:, :, 1] * dy[:, None]
 
 
-def _window_of_event(window_ptr: NDArray, count: int) -> NDArray:
-    return np.searchsorted(window_ptr, np.arange(count), side="right") - 1
+def window_of_event(window_ptr: NDArray, count: int) -> NDArray:
+    """Window of each event; -1 of one that none names."""
+    window = np.searchsorted(window_ptr, np.arange(count), side="right") - 1
+    return np.where(window < len(window_ptr) - 1, window, -1)

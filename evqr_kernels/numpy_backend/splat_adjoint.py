@@ -14,9 +14,11 @@ def splat_events_adjoint(
 ) -> None:  # fmt: skip
     """Adjoint of `splat_events` in weight and motion; overwrites."""
     taps = taps_of(x, y, t, weight, window_ptr, motion, lag, frame, adj_image.shape, cfg)
-    row = np.clip(taps.row, 0, adj_image.shape[1] - 1)
-    column = np.clip(taps.column, 0, adj_image.shape[2] - 1)
-    adj = np.where(taps.inside, adj_image[taps.window, row, column], 0)
+    adj = np.zeros(taps.inside.shape, adj_image.dtype)
+    window, row, column = (
+        np.broadcast_to(k, adj.shape)[taps.inside] for k in (taps.window, taps.row, taps.column)
+    )
+    adj[taps.inside] = adj_image[window, row, column]
     lag_x, lag_y = taps.lag_x, taps.lag_y
 
     def total(along, across):

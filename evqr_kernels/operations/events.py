@@ -30,6 +30,26 @@ def _positive_side(frame: NDArray[Any]) -> None:
         raise ValueError(f"frame must have a positive scale, got {frame[:, 2].min()}")
 
 
+FAR = 100.0
+"""A reference time that many times as far away as events are apart is none of theirs."""
+
+
+def _relative_times(arrays: Arrays, sizes: Sizes) -> None:
+    """Refuse absolute times, which would bring all events to where no image is."""
+    t, motion, frame = arrays["t"], arrays["motion"], arrays.get("frame")
+    if len(t) < 2 or not motion.size:
+        return
+    first, last = float(t.min()), float(t.max())
+    away = max(first, -last)
+    if away > FAR * (last - first):
+        side = 1.0 if frame is None else float(frame[:, 2].max())
+        if away * float(np.abs(motion[:, :2]).max()) > (sizes["Y"] + sizes["X"]) * side:
+            raise ValueError(
+                f"t must be relative to the window's reference time, got {first} to {last}: subtract it, in "
+                "the clock's own integers or in float64"
+            )
+
+
 CHUNK = 64
 """Events of a window that one thread takes, or more where the window has more than most."""
 
@@ -98,6 +118,7 @@ OPERATIONS = (
         parameters=(IMAGE,),
         variants=CHUNKED,
         adjoint="splat_events_adjoint",
+        check_values=_relative_times,
     ),
     Operation(
         name="splat_events_adjoint",
@@ -111,6 +132,7 @@ OPERATIONS = (
             SPLAT,
         ),
         variants=CHUNKED,
+        check_values=_relative_times,
     ),
     Operation(
         name="deposit_events",
@@ -119,6 +141,7 @@ OPERATIONS = (
         parameters=(IMAGE,),
         variants=CHUNKED,
         adjoint="deposit_events_adjoint",
+        check_values=_relative_times,
     ),
     Operation(
         name="deposit_events_adjoint",
@@ -128,6 +151,7 @@ OPERATIONS = (
             floats("adj_deposit", "B", 2, "Y", "X"),
             overwritten("adj_weight_out", "E"),
         ),
+        check_values=_relative_times,
     ),
     Operation(
         name="bin_packed_events",

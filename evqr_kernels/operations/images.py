@@ -62,6 +62,8 @@ def _within(arrays: Arrays, height: int, width: int) -> None:
 
 
 def _levels(arrays: Arrays, sizes: Sizes) -> None:
+    if sizes["A"] < 1:
+        raise ValueError(f"mix must have at least one template, got shape {tuple(arrays['mix'].shape)}")
     high, wide = (max(0, sizes[side] - sizes["N"] + 1) for side in "YX")
     if sizes["R"] != high:
         raise ValueError(f"rows must have shape (R, 2) with R = {high}, got {tuple(arrays['rows'].shape)}")

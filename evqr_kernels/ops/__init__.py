@@ -21,10 +21,16 @@ differentiated, [1] none, [any] what the caller likes, [of name] that of another
 
 - `TypeError`: what is no array or cannot be read in place, or is of the wrong dtype.
 - `ValueError`: a wrong shape, layout or name, a setting or index out of range (NaN is out of every range that
-  begins somewhere), a device that the backend does not have, an ``out`` that is read-only, more than 2^30
-  events, or more than 2^31 - 1 elements of an array, scratch included.
+  begins somewhere), a device that the backend does not have, an ``out`` that is read-only or shares memory
+  with an input, more than 2^30 events, or more than 2^31 - 1 elements of an array, scratch included; times
+  ``t`` that are a hundred times as far from the reference time as from each other, where that takes all
+  events out of the image; images in float32 in which a window of 2^24 events or more counted up to 2^24.
 - `BackendUnavailable`: a backend that cannot be loaded here.
 - `OperationRefused`: an operation, dtype or device that the backend refuses, with its reason.
+
+**What is not finite.**  An event with a position, time or velocity that is NaN or infinite is dropped, as one
+beside the image is, by all operations and backends; what else is not finite shows in the results that
+depend on it.  An image of no pixels is allowed.
 
 **Cost** counts what Warp's and Taichi's kernels do, and the scratch that a call allocates beside its results,
 of the call's float type unless said otherwise.  NumPy's code is the specification, written to be read, and

@@ -151,6 +151,8 @@ def rows_a_launch(band) -> int:
 
 def solve_code_banded(rhs, stencil, damping, free, band_out, q_inout) -> None:
     """Launch; q is updated in place, the band is scratch."""
+    if 0 in free.shape:
+        return
     variant = float_of(rhs), is_alone(rhs), free.shape[0] >= free.shape[1]
     factor, substitute = make_factor_rows(*variant), make_substitute_rows(*variant)
     rows, step = band_out.shape[1], rows_a_launch(band_out)

@@ -28,7 +28,7 @@ def make_measure_rows(dtype):
             for x in range(image.shape[2]):
                 value = image[b, y, x]
                 total += ti.abs(value)
-                count += ti.select(value != dtype(0.0), 1, 0)
+                count += ti.select(value == dtype(0.0), 0, 1)  # also of NaN
             rows_out[b, y, 0] = total
             rows_out[b, y, 1] = dtype(count)
 
@@ -63,7 +63,10 @@ def make_clip_rows(dtype):
         for b, y in ti.ndrange(image_out.shape[0], image_out.shape[1]):
             high = limit[b]
             for x in range(image_out.shape[2]):
-                image_out[b, y, x] = ti.max(-high, ti.min(image[b, y, x], high))
+                value = image[b, y, x]
+                # of what is not a number neither comparison holds: it stays, and is no limit
+                value = ti.select(value > high, high, value)
+                image_out[b, y, x] = ti.select(value < -high, -high, value)
 
     return clip_rows
 

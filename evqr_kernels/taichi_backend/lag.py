@@ -13,7 +13,7 @@ from evqr_kernels.taichi_backend.language import (
     variant,
 )
 from evqr_kernels.taichi_backend.launches import clear, launch
-from evqr_kernels.taichi_backend.splat import chunks_of, length_of_chunk, make_add, owners
+from evqr_kernels.taichi_backend.splat import chunks_of, events_of, length_of_chunk, make_add, owners
 from evqr_kernels.taichi_backend.transport import make_transport
 
 
@@ -47,9 +47,9 @@ def make_deposit_events(dtype, shared: bool, alone: bool):
             inverse_scale = dtype(1.0) / frame[b, 2]
             right = dtype(deposit_out.shape[3] - 1)
             bottom = dtype(deposit_out.shape[2] - 1)
-            end = window_ptr[b + 1]
-            length = length_of_chunk(end - window_ptr[b], chunks, shared)
-            first = window_ptr[b] + k * length
+            begin, end = events_of(window_ptr, b, x.shape[0])
+            length = length_of_chunk(end - begin, chunks, shared)
+            first = begin + k * length
             for e in range(first, ti.min(first + length, end)):
                 cx = transport(x[e], t[e], motion_x, origin_x, inverse_scale)
                 cy = transport(y[e], t[e], motion_y, origin_y, inverse_scale)
@@ -97,12 +97,12 @@ def make_lag_rows(dtype, size: int, block: int):
         for n, y in ti.ndrange(rows_out.shape[0], rows_out.shape[2]):
             if y >= extent[n, 0]:
                 continue
-            b = deposit_idx[n]
+            b = ti.max(ti.min(deposit_idx[n], deposit.shape[0] - 1), 0)
             direction_x = direction[n, 0]
             direction_y = direction[n, 1]
             lag_on = lag[n, 0]
             lag_off = lag[n, 1]
-            right = extent[n, 1] - reach
+            right = ti.min(extent[n, 1], deposit.shape[3]) - reach
             for k in range((ti.max(right - reach, 0) + block - 1) // block):
                 # the last block ends with the row; what it shares with the one before is written twice, alike
                 x = ti.max(ti.min(reach + block * k, right - block), reach)
@@ -142,8 +142,8 @@ def make_lag_columns(dtype, size: int, block: int):
         rows: array(dtype, 4), taps: array(dtype, 2), extent: array(ti.i32, 2), image_out: array(dtype, 3)
     ):
         for n, y in ti.ndrange(image_out.shape[0], image_out.shape[1]):
-            right = extent[n, 1] - reach
-            inside = y >= reach and y < extent[n, 0] - reach
+            right = ti.min(extent[n, 1], image_out.shape[2]) - reach
+            inside = y >= reach and y < ti.min(extent[n, 0], image_out.shape[1]) - reach
             for k in range((ti.max(right - reach, 0) + block - 1) // block):
                 x = ti.max(ti.min(reach + block * k, right - block), reach)
                 total = ti.Vector.zero(dtype, block)

@@ -9,9 +9,9 @@ from evqr_kernels.taichi_backend.transport import make_transport
 
 @ti.func
 def window_of(window_ptr: ti.template(), event):
-    """Find the window of an event: the last one that begins at or before it, by bisection."""
-    low = 0
-    high = window_ptr.shape[0] - 1
+    """Find the window of an event by bisection; -1, or how many there are, of one that none names."""
+    low = -1
+    high = window_ptr.shape[0]
     while high - low > 1:
         middle = (low + high) // 2
         if window_ptr[middle] <= event:
@@ -40,6 +40,9 @@ def make_deposit_events_adjoint(dtype):
     ):
         for e in range(adj_weight_out.shape[0]):
             b = window_of(window_ptr, e)
+            if b < 0 or b >= adj_deposit.shape[0]:
+                adj_weight_out[e] = dtype(0.0)
+                continue
             inverse_scale = dtype(1.0) / frame[b, 2]
             cx = transport(x[e], t[e], motion[b, 0], frame[b, 0], inverse_scale)
             cy = transport(y[e], t[e], motion[b, 1], frame[b, 1], inverse_scale)
@@ -83,8 +86,8 @@ def make_lag_columns_adjoint(dtype):
         for n, y in ti.ndrange(adj_image.shape[0], adj_image.shape[1]):
             size = taps.shape[1]
             reach = size // 2
-            bottom = extent[n, 0] - reach
-            right = extent[n, 1] - reach
+            bottom = ti.min(extent[n, 0], adj_image.shape[1]) - reach
+            right = ti.min(extent[n, 1], adj_image.shape[2]) - reach
             for x in range(adj_image.shape[2]):
                 along = dtype(0.0)
                 across = dtype(0.0)

@@ -1,6 +1,7 @@
 """Launching kernels and recording launches, under the one lock that Taichi's front end needs."""
 
 import inspect
+import os
 import threading
 from collections.abc import Callable
 from functools import partial
@@ -8,11 +9,35 @@ from typing import Any
 
 import numpy as np
 
+from evqr_kernels.errors import BackendUnavailable
 from evqr_kernels.taichi_backend.arrays import is_part, read, write
-from evqr_kernels.taichi_backend.language import DTYPES
+from evqr_kernels.taichi_backend.language import DTYPES, ti
 
 LOCK = threading.RLock()
 """Held while Taichi compiles, launches or copies: its front end has one state for all threads."""
+
+
+class _Fork:
+    """Whether this process is a copy of one where Taichi ran: its threads have stayed there."""
+
+    is_copy = False
+
+    def note(self) -> None:
+        self.is_copy = ti.cfg is not None
+
+
+_fork = _Fork()
+if hasattr(os, "register_at_fork"):
+    os.register_at_fork(after_in_child=_fork.note)
+
+
+def require_own_runtime() -> None:
+    """Raise BackendUnavailable in a copy of a process where Taichi ran: it would wait for ever."""
+    if _fork.is_copy:
+        raise BackendUnavailable(
+            "taichi runs in the process that this one was forked from, and cannot run here: start processes "
+            "by 'spawn', or use backend 'warp'"
+        )
 
 
 class _Recording(threading.local):
@@ -45,6 +70,7 @@ def clear(array) -> None:
 
 def _launch(kernel, arguments) -> None:
     """Launch; kernels take whole arrays only, so that a part of one is copied, and back."""
+    require_own_runtime()
     with LOCK:
         copies = {id(argument): read(argument) for argument in arguments if is_part(argument)}
         kernel(*(copies.get(id(argument), argument) for argument in arguments))

@@ -73,7 +73,7 @@ def make_moments_of_chunks(dtype, columns: int):
     ):
         for h, chunk in ti.ndrange(chunks_out.shape[0], chunks_out.shape[1]):
             if active[h] != 0:
-                b = image_idx[h]
+                b = ti.max(ti.min(image_idx[h], image.shape[0] - 1), 0)
                 count = points.shape[0]
                 length = (count + chunks_out.shape[1] - 1) // chunks_out.shape[1]
                 moments = ti.Vector.zero(dtype, columns)
@@ -138,7 +138,7 @@ def make_sample_moments_adjoint(dtype):
         for h, s in ti.ndrange(pose.shape[0], points.shape[0]):
             x, y = project(pose, h, points[s, 0], points[s, 1])
             if active[h] != 0 and inside(x, y, adj_image_out.shape[1], adj_image_out.shape[2]):
-                b = image_idx[h]
+                b = ti.max(ti.min(image_idx[h], image.shape[0] - 1), 0)
                 columns = table.shape[1]
                 adj = dtype(2.0) * bilinear(image, b, x, y) * adj_moments[h, columns]
                 for c in range(columns):

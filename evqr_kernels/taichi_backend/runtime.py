@@ -14,7 +14,7 @@ from evqr_kernels.errors import BackendUnavailable
 from evqr_kernels.native_output import without_lines
 from evqr_kernels.own_directory import own_directory, why_not_writable
 from evqr_kernels.taichi_backend.language import environment, ti
-from evqr_kernels.taichi_backend.launches import LOCK, compile_kernel
+from evqr_kernels.taichi_backend.launches import LOCK, compile_kernel, require_own_runtime
 from evqr_kernels.taichi_backend.sums import make_add_partials
 
 PLACE = "TI_OFFLINE_CACHE_FILE_PATH"
@@ -54,6 +54,7 @@ def require(device: str) -> None:
 
     Any thread may compile kernels once the one that started Taichi has compiled one.
     """
+    require_own_runtime()
     with LOCK:
         found = running_on()
         if found is None:

@@ -66,6 +66,13 @@ def chunks_of(x, window_ptr, shared: bool, alone: bool) -> int:
 
 
 @ti.func
+def events_of(window_ptr: ti.template(), b, count):
+    """Give the first event of a window and the one behind its last, of ``count``, whatever the pointers."""
+    end = ti.max(ti.min(window_ptr[b + 1], count), 0)
+    return ti.min(ti.max(window_ptr[b], 0), end), end
+
+
+@ti.func
 def length_of_chunk(count, chunks, shared: ti.template()):
     """Give how many of a window's ``count`` events each of its ``chunks`` has."""
     return ti.max((count + chunks - 1) // chunks, CHUNK) if ti.static(shared) else count
@@ -93,9 +100,9 @@ def make_bin_events(dtype, shared: bool, alone: bool):
                     continue
             right = dtype(image_out.shape[2])
             bottom = dtype(image_out.shape[1])
-            end = window_ptr[b + 1]
-            length = length_of_chunk(end - window_ptr[b], chunks, shared)
-            first = window_ptr[b] + k * length
+            begin, end = events_of(window_ptr, b, x.shape[0])
+            length = length_of_chunk(end - begin, chunks, shared)
+            first = begin + k * length
             for e in range(first, ti.min(first + length, end)):
                 column = (x[e] + dtype(0.5)) * inverse_reduction
                 row = (y[e] + dtype(0.5)) * inverse_reduction
@@ -194,9 +201,9 @@ def make_splat_events(dtype, cfg: SplatConfig, parameters: int, shared: bool, al
             width = image_out.shape[2]
             middle_x = middle(origin_x, scale, width)
             middle_y = middle(origin_y, scale, height)
-            end = window_ptr[b + 1]
-            length = length_of_chunk(end - window_ptr[b], chunks, shared)
-            first = window_ptr[b] + k * length
+            begin, end = events_of(window_ptr, b, x.shape[0])
+            length = length_of_chunk(end - begin, chunks, shared)
+            first = begin + k * length
             for e in range(first, ti.min(first + length, end)):
                 motion_x, motion_y = velocity(motion, b, x[e] - middle_x, y[e] - middle_y)
                 cx = transport(x[e], t[e], motion_x, origin_x, inverse_scale)

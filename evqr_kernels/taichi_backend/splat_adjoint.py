@@ -5,8 +5,8 @@ from functools import cache
 from evqr_kernels.config import SplatConfig
 from evqr_kernels.operations.events import CHUNK
 from evqr_kernels.taichi_backend.language import array, float_of, row_of, run_at, ti
-from evqr_kernels.taichi_backend.launches import launch
-from evqr_kernels.taichi_backend.splat import make_splat_taps
+from evqr_kernels.taichi_backend.launches import clear, launch
+from evqr_kernels.taichi_backend.splat import events_of, make_splat_taps
 from evqr_kernels.taichi_backend.sums import add_partials
 from evqr_kernels.taichi_backend.transport import make_middle, make_transport, make_velocity
 
@@ -62,8 +62,7 @@ def make_splat_events_adjoint(dtype, cfg: SplatConfig, parameters: int):
         adj_weight_out: array(dtype, 1),
     ):
         for window, chunk in ti.ndrange(chunks_out.shape[0], chunks_out.shape[1]):
-            begin = window_ptr[window]
-            end = window_ptr[window + 1]
+            begin, end = events_of(window_ptr, window, x.shape[0])
             length = ti.max((end - begin + chunks_out.shape[1] - 1) // chunks_out.shape[1], CHUNK)
             height = adj_image.shape[1]
             width = adj_image.shape[2]
@@ -148,6 +147,7 @@ def splat_events_adjoint(
     cfg: SplatConfig,
 ) -> None:  # fmt: skip
     """Launch both passes; overwrites."""
+    clear(adj_weight_out)  # of events that no window names
     launch(
         make_splat_events_adjoint(float_of(x), cfg, motion.shape[1]),
         x, y, t, weight, window_ptr, motion, lag, frame, adj_image, chunks_out, adj_weight_out,

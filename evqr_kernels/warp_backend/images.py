@@ -78,7 +78,10 @@ def make_clip_rows(dtype: type) -> wp.Kernel:
         b, y = wp.tid()
         high = limit[b]
         for x in range(image.shape[2]):
-            image_out[b, y, x] = wp.clamp(image[b, y, x], -high, high)
+            value = image[b, y, x]
+            # of what is not a number neither comparison holds: it stays, and is no limit
+            value = wp.where(value > high, high, value)
+            image_out[b, y, x] = wp.where(value < -high, -high, value)
 
     return clip_rows
 

@@ -26,7 +26,7 @@ import warp as wp
 
 from evqr_kernels.operations.events import CHUNK
 from evqr_kernels.warp_backend.language import clear, launch, module_of, neighbours, variant, vector
-from evqr_kernels.warp_backend.transport import make_transport
+from evqr_kernels.warp_backend.transport import make_transport, window_of
 
 
 @cache
@@ -49,9 +49,10 @@ def make_deposit_events(dtype: type) -> wp.Kernel:
         right = dtype(pairs_out.shape[3])
         bottom = dtype(pairs_out.shape[2] - 1)
         first = wp.tid() * CHUNK
-        last = wp.min(first + CHUNK, window_ptr[window_ptr.shape[0] - 1])
-        b = wp.lower_bound(window_ptr, first + 1) - 1
-        while first < last:
+        last = wp.min(wp.min(first + CHUNK, x.shape[0]), window_ptr[window_ptr.shape[0] - 1])
+        first = wp.max(first, window_ptr[0])
+        b = window_of(window_ptr, first)
+        while first < last:  # ends with the last window
             end = wp.min(last, window_ptr[b + 1])
             motion_x = motion[b, 0]
             motion_y = motion[b, 1]
@@ -74,7 +75,7 @@ def make_deposit_events(dtype: type) -> wp.Kernel:
                     below = (cy - dtype(row)) * pair
                     wp.atomic_add(pairs_out, b, image, row, column, pair - below)
                     wp.atomic_add(pairs_out, b, image, row + 1, column, below)
-            first = end
+            first = wp.max(first, end)
             b += 1
 
     return deposit_events
@@ -107,10 +108,10 @@ def make_lag_rows(dtype: type, block: int) -> wp.Kernel:
         rows_out: wp.array4d(dtype=vec_block),
     ):
         n, y, k = wp.tid()
-        b = deposit_idx[n]
+        b = wp.clamp(deposit_idx[n], 0, blocks.shape[0] - 1)
         size = taps.shape[1]
         reach = size // 2
-        right = extent[n, 1] - reach
+        right = wp.min(extent[n, 1], blocks.shape[3] + block - 1) - reach
         x = reach + block * k
         if y >= extent[n, 0] or x >= right:
             return
@@ -152,7 +153,7 @@ def make_lag_columns(dtype: type, block: int) -> wp.Kernel:
         size = taps.shape[1]
         reach = size // 2
         width = image_out.shape[2]
-        right = extent[n, 1] - reach
+        right = wp.min(extent[n, 1], width) - reach
         if k == 0:
             for i in range(reach):
                 image_out[n, y, i] = dtype(0.0)
@@ -161,7 +162,7 @@ def make_lag_columns(dtype: type, block: int) -> wp.Kernel:
         if first < right:
             x = wp.max(wp.min(first, right - block), reach)
             total = vec_block()
-            if y >= reach and y < extent[n, 0] - reach:
+            if y >= reach and y < wp.min(extent[n, 0], image_out.shape[1]) - reach:
                 for j in range(size):
                     row = y + j - reach
                     total += taps[0, j] * rows[n, 0, row, x] + taps[1, j] * rows[n, 1, row, x]

@@ -19,7 +19,7 @@ from functools import cache
 import warp as wp
 
 from evqr_kernels.warp_backend.language import clear, launch, module_of, neighbours, variant, vector
-from evqr_kernels.warp_backend.transport import make_transport
+from evqr_kernels.warp_backend.transport import is_named, make_transport, window_of
 
 
 @cache
@@ -40,7 +40,10 @@ def make_deposit_events_adjoint(dtype: type) -> wp.Kernel:
         adj_weight_out: wp.array(dtype=dtype),
     ):
         e = wp.tid()
-        b = wp.lower_bound(window_ptr, e + 1) - 1
+        if not is_named(window_ptr, e):
+            adj_weight_out[e] = dtype(0.0)
+            return
+        b = window_of(window_ptr, e)
         inverse_scale = dtype(1.0) / frame[b, 2]
         cx = transport(x[e], t[e], motion[b, 0], frame[b, 0], inverse_scale)
         cy = transport(y[e], t[e], motion[b, 1], frame[b, 1], inverse_scale)
@@ -96,9 +99,9 @@ def make_lag_columns_adjoint(dtype: type, block: int) -> wp.Kernel:
         n, y, k = wp.tid()
         size = taps.shape[1]
         reach = size // 2
-        height = extent[n, 0]
-        right = extent[n, 1] - reach
+        height = wp.min(extent[n, 0], rows_out.shape[2])
         width = rows_out.shape[3]
+        right = wp.min(extent[n, 1], width) - reach
         if k == 0:
             # the operator makes no use of cells near the border: there the image is 0 whatever the deposit
             for plane in range(2):

@@ -53,18 +53,21 @@ def make_clip_rows(dtype: type, block: int) -> wp.Kernel:
             pixels = blocks[b, i, y, x]
             squares = wp.dot(pixels, pixels)
             before += squares
-            if squares > clip * clip:  # else none of them is beyond
+            if not (squares <= clip * clip):  # else none of them is beyond; also true for NaN
+                squares = dtype(0.0)
                 for p in range(block):
                     value = images_inout[b, i, y, x + p]
                     if wp.abs(value) > clip:
-                        images_inout[b, i, y, x + p] = wp.clamp(value, -clip, clip)
-                        squares += clip * clip - value * value
+                        value = wp.where(value > clip, clip, -clip)
+                        images_inout[b, i, y, x + p] = value
+                    squares += value * value
             energy += squares
         for x in range(whole, width):
             value = images_inout[b, i, y, x]
             before += value * value
-            value = wp.clamp(value, -clip, clip)
-            images_inout[b, i, y, x] = value
+            if wp.abs(value) > clip:
+                value = wp.where(value > clip, clip, -clip)
+                images_inout[b, i, y, x] = value
             energy += value * value
         energy_rows_out[b, y, i] = energy
         energy_rows_out[b, y, 2 + i] = before

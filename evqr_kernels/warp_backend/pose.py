@@ -97,7 +97,7 @@ def make_moments_of_chunks(dtype: type, columns: int) -> wp.Kernel:
         h, chunk = wp.tid()
         if active[h] == 0:
             return
-        b = image_idx[h]
+        b = wp.clamp(image_idx[h], 0, pairs.shape[0] - 1)
         count = points.shape[0]
         length = (count + chunks_out.shape[1] - 1) // chunks_out.shape[1]
         moments = vec_columns()
@@ -181,7 +181,7 @@ def make_sample_moments_adjoint(dtype: type, columns: int) -> wp.Kernel:
         h, k = wp.tid()
         if active[h] == 0:
             return
-        b = image_idx[h]
+        b = wp.clamp(image_idx[h], 0, pairs.shape[0] - 1)
         height = adj_pairs_out.shape[1]
         width = adj_pairs_out.shape[2] + 1
         adj_table = adj_moment_blocks[h, 0]

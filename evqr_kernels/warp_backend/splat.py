@@ -37,7 +37,14 @@ from evqr_kernels.warp_backend.language import (
 )
 from evqr_kernels.warp_backend.splat_profile import make_splat_taps
 from evqr_kernels.warp_backend.splat_strips import holds_rows, make_add_strips, strip_columns
-from evqr_kernels.warp_backend.transport import make_lag_along, make_middle, make_transport, make_velocity
+from evqr_kernels.warp_backend.transport import (
+    is_named,
+    make_lag_along,
+    make_middle,
+    make_transport,
+    make_velocity,
+    window_of,
+)
 
 
 @cache
@@ -56,9 +63,10 @@ def make_bin_events(dtype: type) -> wp.Kernel:
         right = dtype(image_out.shape[2])
         bottom = dtype(image_out.shape[1])
         first = wp.tid() * CHUNK
-        last = wp.min(first + CHUNK, window_ptr[window_ptr.shape[0] - 1])
-        b = wp.lower_bound(window_ptr, first + 1) - 1
-        while first < last:
+        last = wp.min(wp.min(first + CHUNK, x.shape[0]), window_ptr[window_ptr.shape[0] - 1])
+        first = wp.max(first, window_ptr[0])
+        b = window_of(window_ptr, first)
+        while first < last:  # ends with the last window
             end = wp.min(last, window_ptr[b + 1])
             for e in range(first, end):
                 column = (x[e] + dtype(0.5)) * inverse_reduction
@@ -66,7 +74,7 @@ def make_bin_events(dtype: type) -> wp.Kernel:
                 # written so that it is false for NaN
                 if column >= dtype(0.0) and row >= dtype(0.0) and column < right and row < bottom:
                     wp.atomic_add(image_out, b, int(row), int(column), weight[e])
-            first = end
+            first = wp.max(first, end)
             b += 1
 
     return bin_events
@@ -163,7 +171,9 @@ def make_splat_events(
         rows_out: wp.array3d(dtype=vec_columns),
     ):
         e = wp.tid()
-        window = wp.lower_bound(window_ptr, e + 1) - 1
+        if not is_named(window_ptr, e):
+            return
+        window = window_of(window_ptr, e)
         scale = frame[window, 2]
         inverse_scale = dtype(1.0) / scale
         dx = x[e] - middle(frame[window, 0], scale, image_out.shape[2])

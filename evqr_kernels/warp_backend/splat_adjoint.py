@@ -175,8 +175,8 @@ def make_splat_events_adjoint(
         adj_weight_out: wp.array(dtype=dtype),
     ):
         window, chunk = wp.tid()
-        begin = window_ptr[window]
-        end = window_ptr[window + 1]
+        end = wp.clamp(window_ptr[window + 1], 0, x.shape[0])
+        begin = wp.clamp(window_ptr[window], 0, end)
         length = wp.max((end - begin + chunks_out.shape[1] - 1) // chunks_out.shape[1], CHUNK)
         height = adj_image.shape[1]
         width = adj_image.shape[2]
@@ -223,6 +223,7 @@ def splat_events_adjoint(
         clear(adj_weight_out)
         clear(adj_motion_out)
         return
+    clear(adj_weight_out)  # of events that no window names
     on_cpu, width = holds_rows(x.device), adj_image.shape[2]
     columns = min(2 * cfg.reach + 1, width) if on_cpu else strip_columns(cfg, width)
     launch(

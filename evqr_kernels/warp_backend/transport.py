@@ -28,6 +28,18 @@ def make_transport(dtype: type) -> wp.Function:
     return transport
 
 
+@wp.func
+def is_named(window_ptr: wp.array(dtype=wp.int32), event: int) -> bool:
+    """Whether an event lies in a window: of those before the first and behind the last none is made."""
+    return event >= window_ptr[0] and event < window_ptr[window_ptr.shape[0] - 1]
+
+
+@wp.func
+def window_of(window_ptr: wp.array(dtype=wp.int32), event: int) -> int:
+    """Give the window of an event that is named: an index of one whatever ``window_ptr`` holds."""
+    return wp.lower_bound(window_ptr, event + 1) - 1
+
+
 @cache
 def make_middle(dtype: type) -> wp.Function:
     """Build the function that gives the middle of an image along one axis [px]."""
