@@ -31,6 +31,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import warp as wp
+from jax.core import Tracer
 
 from evqr_kernels.differentiable import Front, Rule, Shape
 from evqr_kernels.operation import Input
@@ -78,7 +79,7 @@ def _apply(rule: Rule, *arrays: jax.Array) -> jax.Array:
         _array(name, array)
     dtypes = {name: array.dtype for name, array in zip(rule.inputs, arrays, strict=True)}
     rule.check(_shapes(rule, arrays), dtypes)
-    if not any(isinstance(array, jax.core.Tracer) for array in arrays) and _on_cpu():
+    if not any(isinstance(array, Tracer) for array in arrays) and _on_cpu():
         rule.check_host({name: np.asarray(a) for name, a in zip(rule.inputs, arrays, strict=True)})
     return _differentiable(rule, *arrays)
 

@@ -131,3 +131,17 @@ def test_checked_functions_take_jax_arrays(rng):
     case = splat_events(rng, np.float32)
     image = evqr_kernels.splat_events(**arrays_of(case), **case.options)
     np.testing.assert_array_equal(image, evqr_kernels.splat_events(**case.arrays, **case.options))
+
+
+def test_what_a_traced_function_is_given_is_looked_at_when_it_runs(rng, capfd):
+    case = splat_events(rng, np.float32)
+    given = arrays_of(case)
+
+    @jax.jit
+    def image(window_ptr):
+        return evqr_kernels.jax.splat_events(**{**given, "window_ptr": window_ptr}, **case.options)
+
+    assert image(given["window_ptr"]).shape == (3, *case.options["shape"])
+    with pytest.raises((ValueError, jax.errors.JaxRuntimeError), match="must not decrease, got 0 after 300"):
+        image(jnp.array([0, 300, 0, 300], jnp.int32)).block_until_ready()
+    assert "window_ptr must not decrease" in capfd.readouterr().out  # Warp prints it, too

@@ -6,8 +6,7 @@ from backends import BACKENDS, needs
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
-import evqr_kernels
-from evqr_kernels import OPERATIONS
+from evqr_kernels import OPERATIONS, checks
 
 from . import cases, test_ops
 from .helpers import assert_close
@@ -210,7 +209,7 @@ def test_times_near_the_reference_are_taken(t):
 
 
 def test_counts_beyond_what_float32_tells_apart_are_an_error(monkeypatch):
-    monkeypatch.setattr(evqr_kernels.checks, "MOST_COUNTED", 5)
+    monkeypatch.setattr(checks, "MOST_COUNTED", 5)
     ones = np.ones(test_ops.E, np.float32)
     with pytest.raises(ValueError, match="images in float32 count to 5, and a window of 6 events got there"):
         test_ops.call("bin_events", arg2=ones)
