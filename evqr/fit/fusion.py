@@ -8,7 +8,8 @@ before one decodes; `Fusion.others` gives those that are worth trying.
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Generator, Iterator
+from typing import TypeAlias, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -17,6 +18,11 @@ from evqr.config import ModulesConfig, Vote
 from evqr.fit.model import quiet_modules
 from evqr.fit.modules import REACH, CodeEstimate, NormalEquations, solve_modules
 from evqr.workspace import Workspace
+
+T = TypeVar("T")
+
+Solving: TypeAlias = Generator["list[NormalEquations]", "list[CodeEstimate]", T]
+"""Work that asks for equations to be solved, in units of their noise, and is sent their solutions."""
 
 MOST_GROUPS = 4
 """Groups of windows that agree at most; of more, the one that waits longest for another window goes."""
@@ -59,29 +65,29 @@ def misfit(weighted: NormalEquations, q: NDArray[np.float32]) -> float:
 class _Sum:
     """What some windows say together."""
 
-    def __init__(self, vote: Vote, cfg: ModulesConfig, workspace: Workspace) -> None:
+    def __init__(self, vote: Vote) -> None:
         self._vote = vote
-        self._cfg = cfg
-        self._workspace = workspace
         self._equations: NormalEquations | None = None
         self._votes: NDArray[np.float64] | None = None
         self._weight = 0.0
         self.windows = 0
         self.estimate: CodeEstimate | None = None
 
-    def add(self, weighted: NormalEquations, alone: CodeEstimate | None = None) -> CodeEstimate:
+    def adding(self, weighted: NormalEquations, alone: CodeEstimate | None = None) -> Solving[CodeEstimate]:
         """Add a window, and what it says alone where that is known, and return the estimate of all so far."""
         self.windows += 1
-        self.estimate = self._with(weighted, alone)
+        self.estimate = yield from self._with(weighted, alone)
         return self.estimate
 
-    def _with(self, weighted: NormalEquations, alone: CodeEstimate | None) -> CodeEstimate:
+    def _with(self, weighted: NormalEquations, alone: CodeEstimate | None) -> Solving[CodeEstimate]:
         if self._vote is Vote.INFORMATION:
             self._equations = weighted if self._equations is None else self._equations + weighted
             if alone is not None and self.windows == 1:
                 return alone
-            return solve_modules([self._equations], self._cfg, workspace=self._workspace)[0]
-        alone = alone or solve_modules([weighted], self._cfg, workspace=self._workspace)[0]
+            (estimate,) = yield [self._equations]
+            return estimate
+        if alone is None:
+            (alone,) = yield [weighted]
         if self._vote is Vote.MODE:
             ballot, weight = np.sign(alone.q).astype(np.float64), 1.0
         else:
@@ -94,18 +100,19 @@ class _Sum:
 
 
 class Fusion:
-    """What the windows of one code say so far."""
+    """What the windows of one code say so far.
+
+    `adding` and `grouping` leave it to others to solve the equations, as many at once as there are; `add` and
+    `others` do all of it.
+    """
 
     def __init__(self, vote: Vote, cfg: ModulesConfig, *, workspace: Workspace) -> None:
         self._vote = vote
         self._cfg = cfg
         self._workspace = workspace
-        self._all = self._sum()
+        self._all = _Sum(vote)
         self._groups: list[_Sum] = []
         self._waiting: list[NormalEquations] = []
-
-    def _sum(self) -> _Sum:
-        return _Sum(self._vote, self._cfg, self._workspace)
 
     @property
     def windows(self) -> int:
@@ -127,9 +134,13 @@ class Fusion:
         estimate : CodeEstimate
             Its strength says where it is sure.
         """
+        return self._solved(self.adding(equations, noise))
+
+    def adding(self, equations: NormalEquations, noise: float) -> Solving[CodeEstimate]:
+        """Add a window; parameters and result as of `add`."""
         weighted = equations.weighted(noise)
         self._waiting.append(weighted)
-        return self._all.add(weighted)
+        return (yield from self._all.adding(weighted))
 
     def others(self) -> Iterator[tuple[CodeEstimate, int]]:
         """Give what else may be right of the newest window, where the sum of all is not.
@@ -144,18 +155,21 @@ class Fusion:
         windows : int
             How many windows it is of.
         """
-        group, alone = None, None
-        for weighted in self._waiting:
-            (alone,) = solve_modules([weighted], self._cfg, workspace=self._workspace)
-            group = self._joined(weighted, alone)
-        self._waiting.clear()
-        if group is None or alone is None or self.windows == 1:
-            return
-        if 1 < group.windows < self.windows and group.estimate is not None:
-            yield group.estimate, group.windows
-        yield alone, 1
+        yield from self._solved(self.grouping())
 
-    def _joined(self, weighted: NormalEquations, alone: CodeEstimate) -> _Sum:
+    def grouping(self) -> Solving[list[tuple[CodeEstimate, int]]]:
+        """Put windows into groups; gives what `others` does."""
+        group, alone, waiting = None, None, self._waiting
+        self._waiting = []
+        for weighted, alone in zip(waiting, (yield waiting), strict=True):
+            group = yield from self._joining(weighted, alone)
+        if group is None or alone is None or self.windows == 1:
+            return []
+        if 1 < group.windows < self.windows and group.estimate is not None:
+            return [(group.estimate, group.windows), (alone, 1)]
+        return [(alone, 1)]
+
+    def _joining(self, weighted: NormalEquations, alone: CodeEstimate) -> Solving[_Sum]:
         """Add a window to the group that it agrees with best, or let it begin one."""
         best, least = None, np.inf
         for group in self._groups:
@@ -166,10 +180,19 @@ class Fusion:
         if best is None or least > max(
             NOISE_EXPLAINS, MODULES_DIFFER * float(weighted.stencil[REACH, REACH])
         ):
-            best = self._sum()
+            best = _Sum(self._vote)
             del self._groups[: max(0, len(self._groups) - MOST_GROUPS + 1)]
         else:
             self._groups.remove(best)
         self._groups.append(best)
-        best.add(weighted, alone)
+        yield from best.adding(weighted, alone)
         return best
+
+    def _solved(self, solving: Solving[T]) -> T:
+        """Solve what is asked for."""
+        try:
+            equations = next(solving)
+            while True:
+                equations = solving.send(solve_modules(equations, self._cfg, workspace=self._workspace))
+        except StopIteration as end:
+            return end.value

@@ -6,6 +6,9 @@ as soon as all events of its window are here.  Of several that may go on, the on
 does, however the events were cut into chunks when they came.  So the records are the same whether a stream is
 pushed microsecond by microsecond or all at once, and a search that waits for a long window holds up no code
 that is followed.
+
+What following a code comes to depends on nothing but the code and its windows.  So all codes whose windows
+are here are followed side by side, ahead of their turns, and each becomes what came of it at its turn.
 """
 
 from __future__ import annotations
@@ -15,12 +18,11 @@ import itertools
 import math
 from concurrent.futures import Executor
 from dataclasses import dataclass, replace
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 from evqr.clock import StageClock
 from evqr.events.array import EventArray
-from evqr.events.batch import EventBatch
-from evqr.events.buffer import Asking, EventBuffer
+from evqr.events.buffer import EventBuffer
 from evqr.events.window import Window
 from evqr.fit.detection import Detection, NotFound
 from evqr.fit.outside import outside
@@ -33,6 +35,7 @@ from evqr.stream.known import KnownCodes
 from evqr.stream.records import CodeAgain, CodeLeft, CodeRead, CodeUnread, Searched, StreamRecord
 from evqr.stream.track import Track
 from evqr.stream.unread import UnreadCodes
+from evqr.work import Activity, Find, Working, answer, moving_at, together, with_windows
 
 FOLLOW, SEARCH = range(2)
 """Ranks of activities: of those that wait for the same time, those that follow a code go on first."""
@@ -45,7 +48,15 @@ class _Waiting(NamedTuple):
     rank: int
     order: int
     start_us: int
-    activity: Asking[None]
+    activity: Activity[None] | _Following
+
+
+class _Following:
+    """A code that is followed: as it is by now, and as it will be after the window that it waits for."""
+
+    def __init__(self, track: Track) -> None:
+        self.track = track
+        self.ahead: Track | None = None
 
 
 @dataclass(frozen=True, eq=False)
@@ -98,7 +109,7 @@ class StreamScheduler:
         self._records: list[StreamRecord] = []
         self._waiting: list[_Waiting] = []
         self._order = itertools.count()
-        self._searching: Asking[None] | None = None
+        self._searching: Activity[None] | None = None
         self._search_us = 0
         self._tracks: list[Track] = []
         self._lost: list[Track] = []
@@ -149,11 +160,26 @@ class StreamScheduler:
         records : list of StreamRecord
             What has become certain, in order.
         """
+        return answer(self.stepping(until_us), self._solver)
+
+    def stepping(self, until_us: int | None = None) -> Working[list[StreamRecord]]:
+        """Do what `step` does, and leave the work to who runs it: with `together`, for many streams at once.
+
+        Parameters
+        ----------
+        until_us : int [us]
+            As of `step`.
+
+        Returns
+        -------
+        records : list of StreamRecord
+            As of `step`.
+        """
         if until_us is None:
             until_us = self._events.last_us
         elif self._events.last_us is not None:
             self._events.advance(until_us)
-        return self._run(-math.inf if until_us is None else until_us)
+        return self._running(-math.inf if until_us is None else until_us)
 
     def skip(self, until_us: int) -> int:
         """Search for nothing before a time: there is too much to do.  Codes that are followed still are.
@@ -184,8 +210,12 @@ class StreamScheduler:
         records : list of StreamRecord
             The last ones.
         """
+        return answer(self.closing(), self._solver)
+
+    def closing(self) -> Working[list[StreamRecord]]:
+        """Do what `close` does, and leave the work to who runs it, as `stepping`."""
         self._events.close()
-        return self._run(math.inf)
+        return self._running(math.inf)
 
     @property
     def settled_us(self) -> float:
@@ -222,32 +252,45 @@ class StreamScheduler:
 
     # ---- activities
 
-    def _run(self, until_us: float) -> list[StreamRecord]:
+    def _running(self, until_us: float) -> Working[list[StreamRecord]]:
         """Let activities go on, in the order of the times at which their events are here."""
         most = self._config.max_windows
         ran = False
         while self._waiting and self._waiting[0].end_us <= until_us:
-            next_one = heapq.heappop(self._waiting)
             if most is not None and self._windows >= most:
-                self._end(next_one.end_us)
+                self._end(self._waiting[0].end_us)
                 break
             ran = True
-            window = self._events.window(next_one.start_us, next_one.end_us)
-            try:
-                start_us, end_us = next_one.activity.send(window)
-            except StopIteration:
+            activity = self._waiting[0].activity
+            if not isinstance(activity, _Following):
+                yield from self._go_on(heapq.heappop(self._waiting), activity)
                 continue
-            heapq.heappush(self._waiting, next_one._replace(start_us=start_us, end_us=end_us))
+            if activity.ahead is None:
+                yield from self._follow_ahead(until_us)
+            self._followed(heapq.heappop(self._waiting), activity)
         if ran and self._waiting:
             self._forget(min(waiting.start_us for waiting in self._waiting))
         records, self._records = self._records, []
         return records
 
-    def _start(self, activity: Asking[None], rank: int) -> None:
-        """Begin an activity: it goes on until it asks for its first window."""
-        start_us, end_us = next(activity)
-        waiting = _Waiting(end_us, rank, next(self._order), start_us, activity)
-        heapq.heappush(self._waiting, waiting)
+    def _go_on(self, waiting: _Waiting, activity: Activity[None]) -> Working[None]:
+        """Let an activity go on with the window that it waits for, until it asks for the next."""
+        answers: Any = self._events.window(waiting.start_us, waiting.end_us)
+        while True:
+            try:
+                asked = activity.send(answers)
+            except StopIteration:
+                return
+            if not isinstance(asked, list):
+                break
+            answers = yield asked
+        start_us, end_us = asked
+        heapq.heappush(self._waiting, waiting._replace(start_us=start_us, end_us=end_us))
+
+    def _wait(self, activity: Activity[None] | _Following, rank: int, bounds: tuple[int, int]) -> None:
+        """Let an activity wait for its first window."""
+        start_us, end_us = bounds
+        heapq.heappush(self._waiting, _Waiting(end_us, rank, next(self._order), start_us, activity))
 
     def _end(self, time_us: int) -> None:
         """Stop at a time, with all windows worked on that may be."""
@@ -270,11 +313,13 @@ class StreamScheduler:
             heapq.heapify(self._waiting)
         self._search_us = at_us
         self._searching = self._search(at_us)
-        self._start(self._searching, SEARCH)
+        first = next(self._searching)
+        assert isinstance(first, tuple)  # a window
+        self._wait(self._searching, SEARCH, first)
 
     # ---- searching
 
-    def _search(self, at_us: int) -> Asking[None]:
+    def _search(self, at_us: int) -> Activity[None]:
         """Search again and again, from a time on."""
         while True:
             self._search_us = at_us
@@ -283,7 +328,7 @@ class StreamScheduler:
                 return
             at_us = yield from self._search_once(at_us)
 
-    def _first_event(self, from_us: int) -> Asking[int]:
+    def _first_event(self, from_us: int) -> Activity[int]:
         """Wait for the first event from a time on; say when it is, or a time past the end of the stream.
 
         However long that is, nothing is done meanwhile.
@@ -297,7 +342,7 @@ class StreamScheduler:
         yield at_us, at_us + 1
         return at_us
 
-    def _search_once(self, at_us: int) -> Asking[int]:
+    def _search_once(self, at_us: int) -> Activity[int]:
         """Search at a time, and ahead of it on the other threads, and say when to search again [us]."""
         tries = yield from self._tries(at_us)
         last = next(
@@ -308,7 +353,7 @@ class StreamScheduler:
                 continue
             self._searches += 1
             self._windows += tried.window is not None
-            self._take(tried)
+            yield from self._take(tried)
             vain = tried.window is not None and isinstance(tried.found, NotFound)
             self._vain = self._vain + 1 if vain else 0
         motion, start_us = tries[last].motion, tries[last].start_us
@@ -320,17 +365,18 @@ class StreamScheduler:
             return start_us + self._config.scheduler.unknown_us
         return start_us + self._step_us(motion)
 
-    def _tries(self, at_us: int) -> Asking[list[_Try]]:
+    def _tries(self, at_us: int) -> Activity[list[_Try]]:
         """Search at a time, and ahead of it on the other threads while nothing else is going on."""
         if self._pool is None or self._tracks or self._motion is None:
-            tried = yield from self._try(self._solver, at_us, self._quiet)
+            tried = yield from self._try(at_us, self._quiet)
             return [tried]
         step = self._step_us(self._motion)
-        asking = [self._try(solver, at_us + k * step) for k, solver in enumerate(self._solvers)]
+        asking = [self._try(at_us + k * step) for k in range(len(self._solvers))]
         # none of them asks for more, so each may run to its end
         most = max(self._config.motion.longest_us, self._config.window_us or 0)
         yield at_us, at_us + (len(asking) - 1) * step + most
-        return list(self._pool.map(self._events.answer, asking))
+        here = [with_windows(one, self._events) for one in asking]
+        return list(self._pool.map(answer, here, self._solvers))
 
     def _step_us(self, motion: Motion) -> int:
         """Time between two searches [us]."""
@@ -341,13 +387,13 @@ class StreamScheduler:
         step = max(self._solver.window_us(motion), round(motion.travel_time_us(travel)))
         return min(step, cfg.longest_us)
 
-    def _try(self, solver: Solver, at_us: int, quiet: QuietSpells | None = None) -> Asking[_Try]:
+    def _try(self, at_us: int, quiet: QuietSpells | None = None) -> Activity[_Try]:
         """Search once; may run on any thread and changes nothing here but ``quiet``."""
-        clock = StageClock()
-        moving = yield from solver.motion_at(at_us, guess=self._motion, quiet=quiet)
+        clock, solver = StageClock(), self._solver
+        moving = yield from moving_at(at_us, solver, guess=self._motion, quiet=quiet)
         clock.add(moving.timings_ms)
         if isinstance(moving, NotFound) and self._motion is not None:
-            moving = yield from solver.motion_at(at_us, quiet=quiet)
+            moving = yield from moving_at(at_us, solver, quiet=quiet)
             clock.add(moving.timings_ms)
         if isinstance(moving, NotFound):
             return _Try(at_us, None, None, replace(moving, timings_ms=clock.ms))
@@ -357,8 +403,7 @@ class StreamScheduler:
         if not self._events.reaches(end_us):
             ends = NotFound(Reason.RECORDING_ENDS, closest=-1.0, timings_ms=clock.ms)
             return _Try(at_us, motion, None, ends)
-        alone = EventBatch.of([self._outside_tracks(window)])
-        (found,) = solver.find(alone, [motion], tau_us=[self._tau_us])
+        (found,) = yield [Find(self._outside_tracks(window), motion, self._tau_us)]
         if isinstance(found, NotFound):
             clock.add(found.timings_ms)
             return _Try(at_us, motion, window, replace(found, timings_ms=clock.ms))
@@ -366,17 +411,19 @@ class StreamScheduler:
         clock.add(best.timings_ms)
         return _Try(at_us, motion, window, (replace(best, timings_ms=clock.ms), *others))
 
-    def _take(self, tried: _Try) -> None:
+    def _take(self, tried: _Try) -> Working[None]:
         """Follow the codes that a search found."""
         found, codes = tried.found, 0
         if not isinstance(found, NotFound):
             assert tried.window is not None
-            for code in found[: self._config.scheduler.codes_a_search]:
-                track = Track(code, tried.window, self._solver)
+            most = self._config.scheduler.codes_a_search
+            tracks = [Track(code, tried.window, self._solver) for code in found[:most]]
+            yield from together(track.begin() for track in tracks)
+            for track in tracks:
                 self._tracks.append(track)
                 self._merge_with_earlier(track)
-                self._start(self._follow(track), FOLLOW)
-                codes += 1
+                self._wait(_Following(track), FOLLOW, track.next_window())
+            codes = len(tracks)
         not_found = found if isinstance(found, NotFound) else None
         if not_found is not None:
             self._clock.add(not_found.timings_ms)
@@ -393,22 +440,34 @@ class StreamScheduler:
 
     # ---- following
 
-    def _follow(self, track: Track) -> Asking[None]:
-        """Follow a code until it is lost or the stream ends."""
-        while True:
-            start_us, end_us = track.next_window()
-            window = yield start_us, end_us
-            if not self._events.reaches(end_us):
-                break
+    def _follow_ahead(self, until_us: float) -> Working[None]:
+        """Follow all codes whose windows are here, side by side: what comes of it waits for their turns."""
+        due = [
+            (one.activity, self._events.window(one.start_us, one.end_us))
+            for one in self._waiting
+            if isinstance(one.activity, _Following) and one.activity.ahead is None
+            if one.end_us <= until_us and self._events.reaches(one.end_us)
+        ]
+        ahead = yield from together(following.track.follow(window) for following, window in due)
+        for (following, _), track in zip(due, ahead, strict=True):
+            following.ahead = track
+
+    def _followed(self, waiting: _Waiting, following: _Following) -> None:
+        """Take what following a code came to, now that it is its turn; lost where the stream has ended."""
+        track = following.track
+        if following.ahead is not None:
             self._windows += 1
-            track.follow(window)
+            self._tracks[self._tracks.index(track)] = track = following.ahead
             self._motion = track.detection.motion
             self._merge_with_earlier(track)
-            if track.lost:
-                break
+            if not track.lost:
+                following.track, following.ahead = track, None
+                start_us, end_us = track.next_window()
+                heapq.heappush(self._waiting, waiting._replace(start_us=start_us, end_us=end_us))
+                return
         self._finish(track)
-        if start_us < self._search_us:  # where one code has gone the next may be
-            self._search_from(start_us)
+        if waiting.start_us < self._search_us:  # where one code has gone the next may be
+            self._search_from(waiting.start_us)
 
     def _merge_with_earlier(self, track: Track) -> None:
         """Give a code its number once it is read, and keep in mind where it is."""

@@ -4,22 +4,25 @@ from __future__ import annotations
 
 from collections import deque
 from collections.abc import Mapping
+from copy import copy
+from typing import TypeVar
 
 import numpy as np
 
 from evqr.clock import StageClock
-from evqr.events.batch import EventBatch
 from evqr.events.window import Window
 from evqr.fit.detection import Detection, NotFound
-from evqr.fit.fusion import Fusion
+from evqr.fit.fusion import Fusion, Solving
 from evqr.fit.modules import CodeEstimate
 from evqr.geometry import module_px
 from evqr.motion import Motion
 from evqr.results import CodeReading
 from evqr.solver import Solver
 from evqr.stream.records import CodeUnread
-from evqr.symbol.decode import decode_grid
 from evqr.symbol.decoded import Decoded, DecodeFailure
+from evqr.work import Decode, Find, Follow, Solve, Working
+
+T = TypeVar("T")
 
 GRIDS = 4
 """Grids that a window may be decoded from once there are several: the sum of all, that of those that agree,
@@ -80,20 +83,19 @@ class Track:
         self._misses = 0
         self._scores = 0.0
         self._fusion = self._new_fusion()
+        self.windows = 0
         self._tries = 1
         self._path = deque([(detection.time_us, detection.centre)], maxlen=cfg.track.baseline)
         self._clock = StageClock()
         self._clock.add(detection.timings_ms)
-        self._decode()
+
+    def begin(self) -> Working[None]:
+        """Decode the window in which it was found."""
+        yield from self._decode()
 
     def _new_fusion(self) -> Fusion:
         cfg = self._solver.config
         return Fusion(cfg.vote, cfg.modules, workspace=self._solver.workspace)
-
-    @property
-    def windows(self) -> int:
-        """Windows that were used to read it."""
-        return self._fusion.windows
 
     @property
     def timings_ms(self) -> Mapping[str, float]:
@@ -148,12 +150,29 @@ class Track:
         start = round(middle - length / 2)
         return start, start + length
 
-    def follow(self, window: Window) -> None:
-        """Look for the code in its next window."""
+    def follow(self, window: Window) -> Working[Track]:
+        """Look for the code in its next window.
+
+        Parameters
+        ----------
+        window : Window
+            With the bounds of `next_window`.
+
+        Returns
+        -------
+        track : Track
+            As it is then.  This one stays as it is, for those who ask about an earlier time, and is not
+            followed any more.
+        """
+        track = copy(self)
+        yield from track._go_on(window)
+        return track
+
+    def _go_on(self, window: Window) -> Working[None]:
         if not _in_view(self.detection, window):
             self._misses += 1
             return
-        (found,) = self._solver.follow(EventBatch.of([window]), [self.detection])
+        (found,) = yield [Follow(window, self.detection)]
         self._clock.add(found.timings_ms)
         if isinstance(found, NotFound):
             self._misses += 1
@@ -165,9 +184,9 @@ class Track:
         self.last_us = window.end_us
         if self.reading is None:
             self._tries += 1
-            self._decode()
+            yield from self._decode()
         if self.reading is None and self._tries in self._due:
-            self._find_again(window)
+            yield from self._find_again(window)
 
     @property
     def _due(self) -> tuple[int, ...]:
@@ -180,45 +199,46 @@ class Track:
         good = self.detection.score >= self._solver.config.align.good_score
         return good and not self.detection.space.single_pattern
 
-    def _decode(self) -> None:
+    def _decode(self) -> Working[None]:
         """Add the newest window, and decode the sum of all; else what agrees with it, and it alone."""
-        with self._clock("stage_two"):
-            estimate = self._fusion.add(self.detection.equations, self.detection.noise)
+        adding = self._fusion.adding(self.detection.equations, self.detection.noise)
+        estimate = yield from self._solved(adding)
+        self.windows = self._fusion.windows
         alone = self.windows == 1
         self._scores = self.detection.score + (0.0 if alone else self._scores)
         self._q = estimate.q
         thorough = self._tries % self._cfg.full_effort_every == 0
-        self._try(estimate, self.windows, full=thorough or (alone and self._agrees_well))
+        yield from self._try(estimate, self.windows, full=thorough or (alone and self._agrees_well))
         if alone or self.reading is not None or self.detection.space.single_pattern:
             return
-        others = self._fusion.others()
-        while self.reading is None:
-            with self._clock("stage_two"):
-                other = next(others, None)
-            if other is None:
-                break
-            estimate, windows = other
-            self._try(estimate, windows, full=windows == 1 and self._agrees_well)
+        others = yield from self._solved(self._fusion.grouping())
+        for estimate, windows in others:
+            if self.reading is None:
+                yield from self._try(estimate, windows, full=windows == 1 and self._agrees_well)
 
-    def _try(self, estimate: CodeEstimate, windows: int, *, full: bool) -> None:
+    def _solved(self, solving: Solving[T]) -> Working[T]:
+        """Have the equations solved that are asked for."""
+        try:
+            equations = next(solving)
+            while True:
+                equations = solving.send((yield [Solve(each, self._clock) for each in equations]))
+        except StopIteration as end:
+            return end.value
+
+    def _try(self, estimate: CodeEstimate, windows: int, *, full: bool) -> Working[None]:
         """Decode what some windows say."""
         space = self.detection.space
         grids = 1 if self._tries == 1 or space.single_pattern else GRIDS
-        with self._clock("decode"):
-            outcome = decode_grid(
-                estimate.q,
-                space,
-                config=self._solver.config.decode.among(grids),
-                effort="full" if full else "quick",
-            )
+        config = self._solver.config.decode.among(grids)
+        (outcome,) = yield [Decode(estimate.q, space, config, "full" if full else "quick", self._clock)]
         if isinstance(outcome, Decoded):
             self.reading = self._reading(outcome, estimate, windows)
         elif self.failure is None or windows == self.windows:
             self.failure = outcome
 
-    def _find_again(self, window: Window) -> None:
+    def _find_again(self, window: Window) -> Working[None]:
         """Search for the code from cold: what went wrong stays wrong while the code is followed."""
-        (codes,) = self._solver.find(EventBatch.of([window]), [self.detection.motion])
+        (codes,) = yield [Find(window, self.detection.motion)]
         if isinstance(codes, NotFound):
             self._clock.add(codes.timings_ms)
             return
@@ -235,11 +255,10 @@ class Track:
         self._path.append((found.time_us, found.centre))
         if found.space != space or better:
             self._fusion = self._new_fusion()
-            self._decode()
+            yield from self._decode()
             return
-        with self._clock("stage_two"):
-            (alone,) = self._solver.solve([found])
-        self._try(alone, 1, full=True)
+        (alone,) = yield [Solve(found, self._clock)]
+        yield from self._try(alone, 1, full=True)
 
     def _reading(self, decoded: Decoded, estimate: CodeEstimate, windows: int) -> CodeReading:
         return CodeReading(

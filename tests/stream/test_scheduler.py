@@ -1,5 +1,7 @@
 """The loop over event time: the same records however a stream was cut, each as soon as it can be."""
 
+import itertools
+from copy import copy
 from dataclasses import replace
 from typing import ClassVar
 
@@ -21,6 +23,7 @@ from evqr.stream.records import CodeAgain, CodeLeft, CodeRead, CodeUnread, Searc
 from evqr.stream.scheduler import StreamScheduler
 from evqr.symbol import qr
 from evqr.symbol.decoded import DecodeFailure
+from evqr.work import answer, together
 
 VIEW = {"width": 330, "height": 140, "direction": 0.0}
 
@@ -107,6 +110,74 @@ def test_chunks_do_not_matter_where_windows_are_limited(most, mixed):
     assert ways[0][1].events < len(mixed)
 
 
+# ---- side by side
+
+
+def counted(solver, monkeypatch, name):
+    """How many windows each call of a method of a solver is given."""
+    counts, method = [], getattr(solver, name)
+    monkeypatch.setattr(solver, name, lambda *given: (counts.append(len(given[-1])), method(*given))[1])
+    return counts
+
+
+def test_codes_side_by_side_are_followed_and_solved_at_once(whole, mixed, monkeypatch):
+    solver = Solver()
+    followed, solved = (counted(solver, monkeypatch, name) for name in ("follow", "solve"))
+    assert records_of([mixed], solver)[0] == whole[0]
+    assert max(followed) == max(solved) == 2
+
+
+def test_a_code_that_was_followed_ahead_is_still_what_it_was_before_its_turn(mixed, monkeypatch):
+    """A search in between must see what was followed up to then, though more is known already."""
+    scheduler, ahead = StreamScheduler([Solver()], mixed.width, mixed.height), []
+    followed = scheduler._followed
+
+    def spy(waiting, following):
+        for track in scheduler._tracks:  # each ended before this turn, or is another's first window
+            assert track.last_us <= waiting.end_us
+        ahead.append(sum(one.activity.ahead is not None for one in scheduler._waiting if one.rank == 0))
+        followed(waiting, following)
+
+    monkeypatch.setattr(scheduler, "_followed", spy)
+    scheduler.push(mixed)
+    scheduler.close()
+    assert max(ahead) >= 1
+
+
+def test_streams_that_are_read_together_are_what_each_is_alone(whole, mixed):
+    """Each cut in its own way, so that one is ahead of another; one of them ends early, one has no events."""
+    solver = Solver()
+    early = keep(mixed, mixed.t < mixed.t[0] + 12_000)
+    streams = [
+        cut_every(mixed, 2_000),
+        cut_every(early, 700),
+        cut_anywhere(mixed, 20, seed=1),
+        [mixed.cut(0, 0)],
+    ]
+    schedulers = [StreamScheduler([solver], mixed.width, mixed.height) for _ in streams]
+    records = [[] for _ in streams]
+    for chunks in itertools.zip_longest(*streams):
+        steps = []
+        for scheduler, chunk in zip(schedulers, chunks, strict=True):
+            if chunk is not None:
+                scheduler.push(chunk)
+            steps.append(scheduler.stepping())
+        for found, new in zip(records, answer(together(steps), solver), strict=True):
+            found += new
+    ends = answer(together(scheduler.closing() for scheduler in schedulers), solver)
+    for found, new in zip(records, ends, strict=True):
+        found += new
+    alone, _ = records_of([early], solver)
+    for found, expected in zip(records, (whole[0], alone, whole[0], []), strict=True):
+        assert list(map(type, found)) == list(map(type, expected))
+        assert [r.reading.text for r in kinds(found, CodeRead)] == [
+            r.reading.text for r in kinds(expected, CodeRead)
+        ]
+        assert [(r.start_us, r.end_us) for r in kinds(found, Searched)] == [
+            (r.start_us, r.end_us) for r in kinds(expected, Searched)
+        ]
+
+
 # ---- as soon as can be
 
 
@@ -122,10 +193,11 @@ class Scripted:
     def window_us(self, motion):
         return 100
 
-    def motion_at(self, start_us, *, guess=None, quiet=None):
-        self.searches += 1
-        yield start_us, start_us + (100 if self.searches == 1 else 30_000)
-        return MotionEstimate(self.motion, 0.5) if self.searches == 1 else NotFound(Reason.NOTHING_MOVES)
+    @staticmethod
+    def moving_at(start_us, solver, *, guess=None, quiet=None):
+        solver.searches += 1
+        yield start_us, start_us + (100 if solver.searches == 1 else 30_000)
+        return MotionEstimate(solver.motion, 0.5) if solver.searches == 1 else NotFound(Reason.NOTHING_MOVES)
 
     def find(self, batch, motions, *, tau_us=None):
         self.finds += 1
@@ -148,9 +220,15 @@ class FollowedFor:
     def next_window(self):
         return self.last_us + 400, self.last_us + 500
 
+    def begin(self):
+        yield []
+
     def follow(self, window):
-        self.last_us = window.end_us
+        yield []
+        later = copy(self)
+        later.last_us = window.end_us
         self.followed.append(window.end_us)
+        return later
 
     @property
     def unread(self):
@@ -165,6 +243,7 @@ class FollowedFor:
 
 def test_a_search_that_waits_for_a_long_window_holds_up_no_code_that_is_followed(monkeypatch):
     monkeypatch.setattr("evqr.stream.scheduler.Track", FollowedFor)
+    monkeypatch.setattr("evqr.stream.scheduler.moving_at", Scripted.moving_at)
     monkeypatch.setattr(FollowedFor, "followed", [])
     events = noise(60_000, 20_000, width=64, height=48)
     scheduler = StreamScheduler([Scripted()], 64, 48)
@@ -190,10 +269,11 @@ class Vain:
     def window_us(self, motion):
         return 100
 
-    def motion_at(self, start_us, *, guess=None, quiet=None):
-        self.guesses.append(guess is not None)
+    @staticmethod
+    def moving_at(start_us, solver, *, guess=None, quiet=None):
+        solver.guesses.append(guess is not None)
         yield start_us, start_us + 100
-        if len(self.guesses) in self.still:
+        if len(solver.guesses) in solver.still:
             return NotFound(Reason.NOTHING_MOVES)
         return MotionEstimate(Motion([4_000.0, 0.0]), 0.5)
 
@@ -201,7 +281,8 @@ class Vain:
         return [NotFound(Reason.DISAGREES)]
 
 
-def test_searches_in_vain_become_rarer_until_something_changes():
+def test_searches_in_vain_become_rarer_until_something_changes(monkeypatch):
+    monkeypatch.setattr("evqr.stream.scheduler.moving_at", Vain.moving_at)
     solver = Vain(still=(7, 8))  # from a guess and without: one search
     events = noise(60_000, 70_000, width=64, height=48)
     records, _ = records_of([events], solver)
@@ -233,7 +314,7 @@ def test_a_code_that_does_not_decode_says_how_well_it_agrees(solver, monkeypatch
     def fail(q, space, **_):
         return DecodeFailure(reason=Reason.TOO_MANY_ERRORS, detail="", space=space)
 
-    monkeypatch.setattr("evqr.stream.track.decode_grid", fail)
+    monkeypatch.setattr("evqr.work.decode_grid", fail)
     events = scene(travel_px=16.0, version=1).events
     scheduler = StreamScheduler([solver], events.width, events.height)
     scheduler.push(events)
