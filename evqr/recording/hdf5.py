@@ -11,11 +11,12 @@ import numpy as np
 
 from evqr_kernels.extras import install_command
 
-from ..errors import MissingExtra, RecordingError
+from ..errors import MissingExtra, RecordingError, StreamChoice
 from .columns import require_equal_lengths, unit_in_name
 from .declared import DeclaredSensor, DeclaredUnit, Unclear, find_sensor, find_unit, first_of, plain, whole
 from .faults import Faults
 from .hdf5_layout import Column, Layout, filters_of, find_layout, is_ecf, length_of, name_of, read_block
+from .hdf5_storage import open_file, rows_stored
 from .options import Asked
 from .source import RawChunks, RawColumns, Source, explained
 
@@ -23,11 +24,17 @@ MAX_CHUNK_BYTES = 1 << 28  # a larger one is damage: it could not be read in bou
 MAX_SAID_VALUES = 4  # of a data set that may tell the sensor's size
 
 
+_CUT = (
+    "{}: HDF5 file is truncated after {:,} bytes, and what tells where its events are, or all of a column,"
+    " was behind them; copy it again from where it was recorded"
+)
+
+
 class Hdf5Source(Source):
     """One event stream of an HDF5 file."""
 
     def __init__(self, path: str, asked: Asked) -> None:
-        self._file, notes = _open(path)
+        self._file, end, notes = open_file(path)
         try:
             with explained(path, "HDF5 file"):
                 self._layout, streams = find_layout(self._file, path, asked)
@@ -37,7 +44,7 @@ class Hdf5Source(Source):
                 declared = require_equal_lengths(
                     {c: length_of(column) for c, column in columns.items()}, path
                 )
-                self._length, self._cut = _stored(self._layout, declared, path, asked.strict)
+                self._length, self._cut = _stored(self._layout, declared, end, path, asked.strict)
                 offset, remark = _offset(self._file, self._layout)
                 super().__init__(
                     path,
@@ -50,8 +57,10 @@ class Hdf5Source(Source):
                     streams=streams,
                     notes=[note for note in (*notes, self._layout.note, remark) if note],
                 )
-        except BaseException:
+        except BaseException as error:
             self._file.close()
+            if end is not None and isinstance(error, RecordingError) and not isinstance(error, StreamChoice):
+                raise RecordingError(_CUT.format(path, end)) from error
             raise
 
     def raw_chunks(self, chunk_events: int, faults: Faults) -> RawChunks:
@@ -76,21 +85,6 @@ class Hdf5Source(Source):
     def close(self) -> None:
         """Close the file."""
         self._file.close()
-
-
-def _open(path: str) -> tuple[h5py.File, list[str]]:
-    """Open a file, also one that is being written in the way that lets others read (SWMR)."""
-    with explained(path, "HDF5 file"):
-        try:
-            return h5py.File(path, "r"), []
-        except OSError as error:
-            if "h5clear" not in str(error):
-                raise
-            try:
-                file = h5py.File(path, "r", swmr=True)
-            except OSError:
-                raise error from None
-            return file, ["the file is marked as being written (SWMR); what is in it now is read"]
 
 
 def _check_readable(column: Column, path: str) -> None:
@@ -127,45 +121,25 @@ def _require_parts(dataset: h5py.Dataset, path: str) -> None:
         )
 
 
-def _stored(layout: Layout, declared: int, path: str, strict: bool) -> tuple[int, str]:
+def _stored(layout: Layout, declared: int, end: int | None, path: str, strict: bool) -> tuple[int, str]:
     """How many events are stored, and what is missing or "".
 
     HDF5 gives zeros for what was never written: that is an interrupted recording.
     """
-    stored = [(_written(d, layout.along(d), declared), d) for d in layout.datasets]
+    stored = [(rows_stored(d, layout.along(d), declared, end), d) for d in layout.datasets]
     shortest, _ = min(stored, key=lambda pair: pair[0])
     if shortest == declared:
-        return declared, ""
+        return declared, "" if end is None else f"it ends after {end:,} bytes, behind its last event"
     first = next(dataset for count, dataset in stored if count < declared)
-    if strict or shortest == 0:
+    if end is None and (strict or shortest == 0):
         size = first.id.get_storage_size()
         raise RecordingError(
             f"{path}: {name_of(first)} is truncated: {declared:,} events declared, {size:,} bytes stored;"
             " copy it again"
         )
+    if shortest == 0:
+        raise RecordingError(f"{path}: of {name_of(first)} nothing is there")
     return shortest, f"{name_of(first)} declares {declared:,} events, and {shortest:,} are stored"
-
-
-def _written(dataset: h5py.Dataset, along: int, declared: int) -> int:
-    """How many events from the first on have storage."""
-    if dataset.is_virtual or declared == 0 or dataset.id.get_create_plist().get_layout() == h5py.h5d.COMPACT:
-        return declared
-    if not dataset.chunks:
-        return declared if dataset.id.get_storage_size() >= dataset.size * dataset.dtype.itemsize else 0
-    step, across = dataset.chunks[along], 1
-    if dataset.ndim == 2:
-        across = -(-dataset.shape[1 - along] // dataset.chunks[1 - along])
-    count = dataset.id.get_num_chunks()
-    if count * step >= declared * across:
-        return declared
-    starts: dict[int, int] = {}
-    for i in range(count):
-        start = dataset.id.get_chunk_info(i).chunk_offset[along]
-        starts[start] = starts.get(start, 0) + 1
-    done = 0
-    while starts.get(done) == across:
-        done += step
-    return min(done, declared)
 
 
 def _require_filter(number: int, dataset: str, path: str) -> None:

@@ -22,6 +22,7 @@ from .options import Asked
 from .source import choose_stream
 
 SAMPLE_ROWS = 4096
+FEW_ROWS = 16  # so few may well be the same
 COLUMN_ATTRIBUTES = ("columns", "column_names", "names", "fields", "order", "format")
 
 
@@ -219,6 +220,20 @@ def _sample(layout: Layout) -> list[NDArray[Any]]:
     return [column.of(block) for column in layout.columns.values()]
 
 
+def _require_varied(columns: Columns, table: list[NDArray[Any]], path: str, what: str) -> None:
+    """Refuse numbers that could be events, but vary less than those of events do: counts, labels, zeros."""
+    values = {column: len(np.unique(part)) for column, part in zip(columns, table, strict=True)}
+    if len(table[0]) < FEW_ROWS:
+        return
+    problem = "all on at most four pixels" if max(values["x"], values["y"]) <= 2 else ""
+    problem = "all at one time" if values["t"] == 1 else problem
+    if problem:
+        raise RecordingError(
+            f"{path}: {what} has no column names, and does not look like events: its first {len(table[0]):,}"
+            f' would be {problem}; if they are events, say what the columns are: columns="t,x,y,p"'
+        )
+
+
 def _order(layout: Layout, asked: Asked, path: str) -> tuple[Columns, str]:
     what = f"array {layout.place} of shape {layout.datasets[0].shape}"
     if asked.columns is not None:
@@ -233,7 +248,9 @@ def _order(layout: Layout, asked: Asked, path: str) -> tuple[Columns, str]:
     table = _sample(layout)
     if not len(table[0]):
         return DEFAULT_ORDER, ""
-    return settle_order(table, asked.sensor, path, what)
+    order, note = settle_order(table, asked.sensor, path, what)
+    _require_varied(order, table, path, what)
+    return order, note
 
 
 def _fits(layout: Layout, asked: Asked, path: str) -> bool:

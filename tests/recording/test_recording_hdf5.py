@@ -200,6 +200,71 @@ def test_an_interrupted_file_is_read_as_far_as_it_is_written(tmp_path):
         read(tmp_path / "a", strict=True)
 
 
+COUNTS = np.column_stack([np.arange(500), *np.zeros((2, 500)), np.ones(500)]).astype(int)
+LABELS = np.eye(4, dtype=int)[np.random.default_rng(0).integers(0, 4, 500)]
+
+
+@pytest.mark.parametrize("place", ["events", "labels"])
+@pytest.mark.parametrize(
+    ("numbers", "problem"),
+    [
+        (np.zeros((500, 4)), "its first 500 would be all at one time"),
+        (COUNTS, "its first 500 would be all on at most four pixels"),
+        (LABELS, "its first 500 would be all on at most four pixels"),
+    ],
+    ids=["zeros", "counts", "labels"],
+)
+def test_four_columns_that_are_hardly_events_are_refused(tmp_path, place, numbers, problem):
+    write(tmp_path / "a", {place: numbers})
+    with pytest.raises(RecordingError, match=problem) as caught:
+        read(tmp_path / "a")
+    assert 'columns="t,x,y,p"' in str(caught.value)
+    if numbers is COUNTS:
+        assert len(read(tmp_path / "a", columns="t,x,y,p", time_unit="us")[0]) == 500
+
+
+def cut(path, share):
+    data = path.read_bytes()
+    path.write_bytes(data[: int(share * len(data))])
+
+
+@pytest.mark.parametrize("share", [0.45, 0.7, 0.95])
+def test_a_file_that_was_cut_is_read_as_far_as_it_is_there(tmp_path, share):
+    write(tmp_path / "a", {"events": matrix("txyp")})
+    cut(tmp_path / "a", share)
+    got, recording = read(tmp_path / "a", time_unit="us")
+    assert (share - 0.35) * len(EVENTS) < len(got) < len(EVENTS)
+    assert_same_events(got, EVENTS.cut(0, len(got)))
+    assert recording.notes == (
+        f"the file is cut short: /events declares 400 events, and {len(got)} are stored; read up to there",
+    )
+    with pytest.raises(RecordingError, match="truncated: /events declares 400 events"):
+        read(tmp_path / "a", time_unit="us", strict=True)
+
+
+@pytest.mark.parametrize("libver", ["earliest", "latest"])
+@pytest.mark.parametrize(
+    "options", [{}, {"chunks": (32,)}, {"chunks": (32,), "compression": "gzip"}], ids=str
+)
+def test_cut_anywhere_a_file_gives_its_first_events_or_says_why_not(tmp_path, libver, options):
+    with h5py.File(tmp_path / "a", "w", libver=libver) as file:
+        for column in "txyp":
+            file.create_dataset(f"events/{column}", data=getattr(EVENTS, column), **options)
+    whole, counts = (tmp_path / "a").read_bytes(), set()
+    for length in range(1024, len(whole), max(len(whole) // 60, 1)):
+        (tmp_path / "b").write_bytes(whole[:length])
+        try:
+            got, recording = read(tmp_path / "b")
+        except RecordingError as error:
+            assert "truncated" in str(error)
+            assert str(error).count(str(tmp_path)) == 1
+        else:
+            assert_same_events(got, EVENTS.cut(0, len(got)))
+            assert "the file is cut short" in recording.notes[0]
+            counts.add(len(got))
+    assert counts
+
+
 def test_locked_in_use_and_left_open(tmp_path):
     path = tmp_path / "a"
     with h5py.File(path, "w", libver="latest") as file:
