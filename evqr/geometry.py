@@ -70,17 +70,16 @@ def _corners(
     pose: NDArray[np.float64], shape: tuple[int, int], margin: float
 ) -> tuple[list[float], list[float]]:
     """Columns and rows of the corners of a code, in the order of `outline` [px]."""
-    # in Python: four corners are too few for NumPy to be faster
+    # in Python, and written out: four corners are too few for NumPy to be faster
     (a, b, p), (d, e, q), (g, h, r) = pose.tolist()
-    x, y = [], []
-    for u, v in (
-        (-margin, -margin), (shape[1] + margin, -margin),
-        (shape[1] + margin, shape[0] + margin), (-margin, shape[0] + margin),
-    ):  # fmt: skip
-        w = g * u + h * v + r
-        x.append((a * u + b * v + p) / w)
-        y.append((d * u + e * v + q) / w)
-    return x, y
+    right, bottom = shape[1] + margin, shape[0] + margin
+    a0, d0, g0, b0, e0, h0 = a * -margin, d * -margin, g * -margin, b * -margin, e * -margin, h * -margin
+    a1, d1, g1, b1, e1, h1 = a * right, d * right, g * right, b * bottom, e * bottom, h * bottom
+    w, x, y, z = g0 + h0 + r, g1 + h0 + r, g1 + h1 + r, g0 + h1 + r
+    return (
+        [(a0 + b0 + p) / w, (a1 + b0 + p) / x, (a1 + b1 + p) / y, (a0 + b1 + p) / z],
+        [(d0 + e0 + q) / w, (d1 + e0 + q) / x, (d1 + e1 + q) / y, (d0 + e1 + q) / z],
+    )
 
 
 def outline(pose: NDArray[np.float64], shape: tuple[int, int], margin: float = 0.0) -> NDArray[np.float64]:

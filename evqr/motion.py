@@ -152,7 +152,8 @@ class Motion(Value):
         """
         seconds = (time_us - self.time_us) * 1e-6
         if self.uniform:  # in Python: once a followed window, and NumPy takes twice as long for so little
-            x, y = (m * seconds for m in self.parameters.tolist())
+            x, y = self.parameters.tolist()
+            x, y = x * seconds, y * seconds
             (a, b, p), (d, e, q), (g, h, r) = pose.tolist()
             moved = [a + x * g, b + x * h, p + x * r], [d + y * g, e + y * h, q + y * r], [g, h, r]
             return np.array(moved)
@@ -177,8 +178,7 @@ class Motion(Value):
         """
         if time_us == self.time_us:
             return self
-        # with what is known of it already: speed and direction are of no time
-        return Motion.trusted(**{**vars(self), "time_us": float(time_us)})
+        return self.altered(time_us=float(time_us))  # speed and direction are of no time
 
     def turned(self, angle: float) -> Motion:
         """Give the motion with all velocities turned by an angle.

@@ -102,6 +102,24 @@ class Value:
         made.__dict__.update(fields)
         return made
 
+    def altered(self: V, **fields: Any) -> V:
+        """Make the same with other fields, likewise unchecked; what is cached must not depend on them.
+
+        Parameters
+        ----------
+        **fields
+            Those that differ.
+
+        Returns
+        -------
+        value : an instance
+            With what is cached of this one.
+        """
+        made = object.__new__(type(self))
+        made.__dict__.update(self.__dict__)
+        made.__dict__.update(fields)
+        return made
+
     def __eq__(self, other: object) -> bool:
         if type(other) is not type(self):
             return NotImplemented

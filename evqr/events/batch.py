@@ -62,21 +62,22 @@ class EventBatch:
         ValueError
             If a window lasts longer than 31 bits of microseconds.
         """
+        refs: list[int] = []
         for window in windows:
             if window.end_us - window.start_us > LONGEST_US:
                 bounds = f"{window.start_us} us to {window.end_us} us"
                 raise ValueError(f"a window must last at most {LONGEST_US} us, got {bounds}")
-        t_ref_us = np.array([window.middle_us % (1 << 31) for window in windows], np.int32)
-        if len(windows) == 1:  # most often, and then this is a share of a followed window's time
-            events = windows[0].packed
-            return cls(tuple(windows), (events,), np.array([(0, len(events))], np.int32), t_ref_us)
-        window_ptr = np.zeros((len(windows), 2), np.int32)
-        stretches, begin = _stretches(windows), 0
-        for stretch in stretches:
-            for k, offset in stretch.members:
-                window_ptr[k] = begin + offset, begin + offset + len(windows[k])
-            begin += stretch.count
-        return cls(tuple(windows), _parts(stretches, windows), window_ptr, t_ref_us)
+            refs.append(window.middle_us % (1 << 31))
+        parts: list[PackedEvents] = []
+        pointers = [(0, 0)] * len(windows)
+        begin = 0
+        for count, members in _stretches(windows):
+            for k, offset in members:
+                pointers[k] = begin + offset, begin + offset + len(windows[k])
+            begin += count
+            parts += _parts(count, members, windows)
+        window_ptr = np.array(pointers, np.int32).reshape(-1, 2)
+        return cls(tuple(windows), tuple(parts), window_ptr, np.array(refs, np.int32))
 
     def __len__(self) -> int:
         return len(self.windows)
@@ -113,51 +114,43 @@ class EventBatch:
         )
 
 
-class _Stretch:
-    """Events of one stream without a gap, and the windows that lie in it, each with its first event there."""
+def _stretches(windows: Sequence[Window]) -> list[tuple[int, list[tuple[int, int]]]]:
+    """Put windows together whose events touch: how many events, and each window with its first one there.
 
-    def __init__(self, first: int) -> None:
-        self.first = first
-        self.count = 0
-        self.members: list[tuple[int, int]] = []
-
-    def add(self, k: int, first: int, count: int) -> None:
-        self.members.append((k, first - self.first))
-        self.count = max(self.count, first - self.first + count)
-
-
-def _stretches(windows: Sequence[Window]) -> list[_Stretch]:
-    """Put windows together whose events touch; in each the windows are in order of their first event."""
-    found: list[_Stretch] = []
+    In each they are in order of their first event.
+    """
+    found: list[tuple[int, list[tuple[int, int]]]] = []
     streams: dict[int, list[tuple[int, int]]] = {}
     for k, window in enumerate(windows):
         if window.origin is None:
-            found.append(_Stretch(0))
-            found[-1].add(k, 0, len(window))
+            found.append((len(window), [(k, 0)]))
         else:
-            stream, first = window.origin
-            streams.setdefault(id(stream), []).append((first, k))
+            stream, number = window.origin
+            streams.setdefault(id(stream), []).append((number, k))
     for members in streams.values():
-        stretch: _Stretch | None = None
-        for first, k in sorted(members):
-            if stretch is None or first > stretch.first + stretch.count:
-                stretch = _Stretch(first)
-                found.append(stretch)
-            stretch.add(k, first, len(windows[k]))
+        members.sort()
+        begin = end = members[0][0]
+        together: list[tuple[int, int]] = []
+        for number, k in members:
+            if number > end:
+                found.append((end - begin, together))
+                begin, together = number, []
+            together.append((k, number - begin))
+            end = max(end, number + len(windows[k]))
+        found.append((end - begin, together))
     return found
 
 
-def _parts(stretches: Sequence[_Stretch], windows: Sequence[Window]) -> tuple[PackedEvents, ...]:
-    """Give the events of stretches, those of a window without what the ones before it have."""
+def _parts(count: int, members: list[tuple[int, int]], windows: Sequence[Window]) -> list[PackedEvents]:
+    """Give the events of a stretch, those of a window without what the ones before it have."""
+    for k, _ in members:
+        if len(windows[k]) == count:
+            return [windows[k].packed]  # as they are: they say where they come from
     parts: list[PackedEvents] = []
-    for stretch in stretches:
-        # one that has all of them gives them as they are, and says where they come from
-        whole = [k for k, _ in stretch.members if len(windows[k]) == stretch.count]
-        copied = 0
-        for k, offset in [(whole[0], 0)] if whole else stretch.members:
-            packed = windows[k].packed
-            skip = copied - offset
-            if len(packed) > skip:
-                parts.append(packed.after(skip))
-                copied = offset + len(packed)
-    return tuple(parts)
+    copied = 0
+    for k, offset in members:
+        packed, skip = windows[k].packed, copied - offset
+        if len(packed) > skip:
+            parts.append(packed.after(skip))
+            copied = offset + len(packed)
+    return parts

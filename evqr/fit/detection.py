@@ -96,7 +96,7 @@ class Target(Value):
             return self
         motion = self.motion
         pose = closed(motion.advance(self.pose, time_us))
-        return Target.trusted(space=self.space, pose=pose, motion=motion.at(time_us), tau_us=self.tau_us)
+        return self.altered(pose=pose, motion=motion.at(time_us))
 
 
 @dataclass(frozen=True, eq=False)

@@ -65,13 +65,13 @@ class Deposit(Step):
         for motion in motions:
             if not motion.uniform:
                 raise NotImplementedError("events are deposited for motions of 2 parameters, got 6")
+        placed = np.array(regions)
         self._ptr.fill(batch.window_ptr)
         self._t_ref.fill(batch.t_ref_us)
         # times on the device are in microseconds
         self._motion.fill(np.array([motion.parameters for motion in motions]) * 1e-6)
-        frame = [(region.x + 0.5, region.y + 0.5, region.cell) for region in regions]
-        self._frame.host[: len(frame)] = frame
-        self._extent.fill([(region.height, region.width) for region in regions])
+        self._frame.host[: len(placed)] = placed[:, :3] + (0.5, 0.5, 0.0)
+        self._extent.fill(placed[:, 3:])
 
     def launch(self) -> None:
         """Launch the kernels one by one."""
@@ -115,11 +115,10 @@ class Sharpen(Step):
         lags_px: ArrayLike,
     ) -> None:
         """Say which lags (ON, OFF) along which motion, those of each window together."""
-        each = self._each
+        each, placed = self._each, np.array(regions)
         self._direction.fill(_repeated([motion.direction for motion in motions], each))
-        cells = _repeated([(region.cell,) for region in regions], each)
-        self._lag.fill(np.array(lags_px).reshape(-1, 2) / cells)
-        self._extent.fill(_repeated([(region.height, region.width) for region in regions], each))
+        self._lag.fill(np.array(lags_px).reshape(-1, 2) / _repeated(placed[:, 2:3], each))
+        self._extent.fill(_repeated(placed[:, 3:], each))
 
     def launch(self) -> None:
         """Launch the kernels one by one."""
@@ -130,7 +129,7 @@ class Sharpen(Step):
 
 
 def _repeated(rows: ArrayLike, each: int) -> NDArray[Any]:
-    values = np.array(rows)
+    values = np.asarray(rows)
     return values if each == 1 else values.repeat(each, axis=0)
 
 

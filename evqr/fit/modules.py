@@ -217,7 +217,7 @@ class Solution(Step):
         damping[:count] = np.minimum(np.maximum(free, least), most)
         for k, (each, factor) in enumerate(zip(equations, scale.tolist(), strict=True)):
             rows, columns = each.rhs.shape
-            np.multiply(each.rhs, factor, out=seen[k, :rows, :columns], casting="unsafe")
+            seen[k, :rows, :columns] = each.rhs * factor
             q[k, :rows, :columns] = start[numbers[k]]
         self._numbers = numbers
         self._number.write(numbers)
@@ -238,12 +238,12 @@ class Solution(Step):
 
     def read(self, spaces: Sequence[CodeSpace]) -> list[CodeEstimate]:
         """Wait for the device and give the modules of each code."""
-        q = self._q.read()
+        q = self._q.read()[: len(spaces)] + np.float32(1.0)
         iterations = functools.reduce(np.add, [mirror.read() for mirror in self._iterations]).tolist()
         found = []
         for k, space in enumerate(spaces):
             quiet = quiet_modules(space)
-            inner = q[k, quiet : quiet + space.rows, quiet : quiet + space.columns] + np.float32(1.0)
+            inner = q[k, quiet : quiet + space.rows, quiet : quiet + space.columns].copy()
             found.append(CodeEstimate.trusted(q=closed(inner), iterations=iterations[k]))
         return found
 

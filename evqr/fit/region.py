@@ -80,8 +80,7 @@ def region_around(
     """Give the region that holds a code and its quiet zone."""
     left, top, right, bottom = bounds(pose, space.shape, quiet_modules(space) + 1.0)
     cell = module_px(pose, space.shape) / cfg.cells_a_module
-    height, width = (
-        math.ceil((extent + 2.0 * margin_px) / cell / GRAIN) * GRAIN
-        for extent in (bottom - top, right - left)
-    )
+    margin = 2.0 * margin_px
+    height = math.ceil((bottom - top + margin) / cell / GRAIN) * GRAIN
+    width = math.ceil((right - left + margin) / cell / GRAIN) * GRAIN
     return Region(left - margin_px, top - margin_px, cell, height, width)

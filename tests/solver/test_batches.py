@@ -79,7 +79,7 @@ def detections(windows, solver):
     for window, target in windows:
         region = region_around(target.pose, target.space, CONFIG.align)
         measured = measure(EventBatch.of([window]), [target], [region], CONFIG, workspace=solver.workspace)
-        found.append(replace(measured.detection(0, target, region), target=target))
+        found.append(replace(measured.detections([target], [region])[0], target=target))
     return found
 
 
