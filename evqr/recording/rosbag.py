@@ -9,13 +9,14 @@ from __future__ import annotations
 
 import re
 from collections.abc import Iterator
-from contextlib import closing, contextmanager
+from contextlib import AbstractContextManager, closing, contextmanager, nullcontext
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
 from ..errors import RecordingError
+from .bag_scan import ScannedBag, is_ros1, is_sqlite, lacks_index
 from .declared import DeclaredSensor, DeclaredUnit
 from .extras import required
 from .faults import Faults
@@ -47,10 +48,18 @@ class BagSource(Source):
 
     def __init__(self, path: str, asked: Asked) -> None:
         required("rosbags.rosbag1", path, "ROS bag")
-        with explained(path, "ROS bag", MEND), _opened(path) as (bag, self._ros2):
+        self._scanned = False
+        with explained(path, "ROS bag", MEND):
+            self._scanned = lacks_index(path)
+        with explained(path, "ROS bag", MEND), self._opened(path) as (bag, self._ros2):
             layouts = {c.topic: layout for c in bag.connections if (layout := _layout(c))}
             if not layouts:
                 has = ", ".join(sorted({f"{c.topic} ({c.msgtype})" for c in bag.connections})) or "nothing"
+                if self._scanned:
+                    raise RecordingError(
+                        f"{path}: ROS bag is truncated, and what is left of it has no event stream (it has:"
+                        f" {has}); copy it again from where it was recorded"
+                    )
                 raise RecordingError(
                     f"{path}: no event stream in this bag (it has: {has}); needs messages of type EventPacket"
                     " or EventArray"
@@ -61,7 +70,8 @@ class BagSource(Source):
             kind = next(c.msgtype for c in bag.connections if c.topic == self._topic)
             first = next((message for _, message in self._messages(bag)), None)
         if first is None:
-            raise RecordingError(f"{path}: the recording is empty: no message on {self._topic}")
+            what = "truncated before its first message" if self._scanned else "empty: no message"
+            raise RecordingError(f"{path}: the recording is {what} on {self._topic}")
         if self._layout == PACKET and first.encoding not in ENCODINGS:
             raise RecordingError(
                 f"{path}: packets are encoded as {first.encoding!r}; {', '.join(ENCODINGS)} are read,"
@@ -81,6 +91,11 @@ class BagSource(Source):
             streams=topics,
         )
 
+    def _opened(self, path: str) -> AbstractContextManager[tuple[Any, bool]]:
+        if self._scanned:
+            return nullcontext((ScannedBag(path), not is_ros1(path)))
+        return _opened(path)
+
     def _messages(self, bag: Any) -> Iterator[tuple[int, Message]]:
         """Give each message of the topic, with the number of its connection."""
         connections = [c for c in bag.connections if c.topic == self._topic and _layout(c) == self._layout]
@@ -91,7 +106,7 @@ class BagSource(Source):
         """Join messages until there are ``chunk_events``."""
         decoders: dict[int, Any] = {}
         parts: list[RawColumns] = []
-        with explained(self.name, "ROS bag", MEND), _opened(self.name) as (bag, _):
+        with explained(self.name, "ROS bag", MEND), self._opened(self.name) as (bag, _):
             for connection, message in self._messages(bag):
                 parts.append(self._columns(message, connection, decoders, faults))
                 if sum(len(part.t) for part in parts) >= chunk_events:
@@ -99,6 +114,8 @@ class BagSource(Source):
                     parts = []
         if parts:
             yield _joined(parts)
+        if self._scanned:
+            faults.cut("the index at the end of the bag is missing")
 
     def _columns(
         self, message: Message, connection: int, decoders: dict[int, Any], faults: Faults
@@ -131,15 +148,13 @@ def _opened(path: str) -> Iterator[tuple[Any, bool]]:
         with Reader(place) as bag:
             yield bag, True
         return
-    with open(path, "rb") as file:
-        head = file.read(16)
-    if head.startswith(b"#ROSBAG"):
+    if is_ros1(path):
         from rosbags.rosbag1 import Reader as Reader1
 
         with Reader1(place) as bag:
             yield bag, False
         return
-    if head.startswith(b"SQLite"):
+    if is_sqlite(path):
         from rosbags.rosbag2.storage_sqlite3 import Sqlite3Reader as Storage
     else:
         from rosbags.rosbag2.storage_mcap import McapReader as Storage

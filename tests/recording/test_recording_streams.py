@@ -98,14 +98,18 @@ def mono(events) -> bytes:
     return out.tobytes()
 
 
-def bag(path, kind, connections):
+def bag(path, kind, connections, packed=None):
     """Write (topic, type, definition, messages) to a bag of ROS 1, or of ROS 2 in either storage."""
     if kind == "ros1":
         writer = pytest.importorskip("rosbags.rosbag1").Writer(path)
+        if packed:
+            writer.set_compression(writer.CompressionFormat[packed.upper()])
     else:
         rosbag2 = pytest.importorskip("rosbags.rosbag2")
         plugin = rosbag2.StoragePlugin.MCAP if kind == "mcap" else rosbag2.StoragePlugin.SQLITE3
         writer = rosbag2.Writer(path, version=9, storage_plugin=plugin)
+        if packed:
+            writer.set_compression(rosbag2.CompressionMode.STORAGE, rosbag2.CompressionFormat.ZSTD)
     stamp = 1
     with writer:
         for topic, msgtype, definition, messages in connections:
@@ -189,6 +193,40 @@ def test_two_topics_and_a_node_that_was_restarted(tmp_path, kind):
     assert_same_events(got, EVENTS)
     assert recording.streams == ("/left", "/right")
     assert_same_events(read(path, stream="right")[0], FEW)
+
+
+@pytest.mark.parametrize(
+    ("kind", "packed"),
+    [*((kind, None) for kind in KINDS), ("ros1", "bz2"), ("ros1", "lz4"), ("mcap", "zstd")],
+)
+def test_a_bag_that_was_cut_is_read_as_far_as_it_goes(tmp_path, kind, packed):
+    """Its index stands at its end."""
+    events = make_events(4000)
+    own = "dvs_msgs/msg/EventArray"
+    topics = [("/events", own, DVS, arrays(events, kind, 400)), ("/other", own, DVS, arrays(FEW, kind))]
+    path = bag(tmp_path / "a", kind, topics, packed=packed)
+    file = (
+        path if path.is_file() else next(each for each in path.iterdir() if each.suffix in (".db3", ".mcap"))
+    )
+    whole, counts = file.read_bytes(), set()
+    assert read(path, stream="/events")[1].notes == ()
+    for length in range(64, len(whole), len(whole) // 12):
+        file.write_bytes(whole[:length])
+        try:
+            got, recording = read(path, stream="/events")
+        except RecordingError as error:
+            assert "truncated" in str(error)
+        else:
+            assert_same_events(got, events.cut(0, len(got)))
+            assert recording.notes == (
+                "the file is cut short: the index at the end of the bag is missing; read up to there",
+            )
+            counts.add(len(got))
+    assert counts
+    assert (len(counts) > 3 and max(counts) >= 2400) or packed  # in one chunk
+    file.write_bytes(whole[: len(whole) - 9])
+    with pytest.raises(RecordingError, match="truncated: the index at the end of the bag is missing"):
+        read(path, stream="/events", strict=True)
 
 
 @pytest.mark.parametrize("kind", KINDS)
