@@ -34,7 +34,10 @@ MOMENTS = 20
 
 
 def _phi(z: NDArray[np.float64]) -> NDArray[np.float64]:
-    return 0.5 * (1.0 + np.vectorize(math.erf)(z / math.sqrt(2.0)))
+    scaled = z / math.sqrt(2.0)
+    # np.vectorize takes three times as long
+    erf = np.fromiter(map(math.erf, scaled.ravel().tolist()), np.float64, scaled.size)
+    return 0.5 * (1.0 + erf.reshape(scaled.shape))
 
 
 def quiet_modules(space: CodeSpace) -> int:

@@ -120,18 +120,25 @@ def _across() -> float:
 
 def _line(timing: Timing) -> NDArray[np.float64]:
     """Points of a timing pattern, at its ends, at the edges between its modules, and in the quiet zone."""
-    # at each edge and behind the last: from light to dark at the first, and in turn up to the last
-    edge = np.arange(timing.count + 1 + timing.quiet)
+    slopes = _slopes(timing.count, timing.quiet, timing.dark)
+    points = np.zeros((len(slopes), 4))
+    points[:, 0], points[:, 1] = timing.u, timing.v
+    along = 0 if timing.along_u else 1
+    points[:, along] += np.arange(-0.5, len(slopes) - 1.0)
+    points[:, 2 + along] = slopes
+    return points
+
+
+@functools.cache
+def _slopes(count: int, quiet: int, dark: tuple[int, ...]) -> NDArray[np.float64]:
+    """Slope of the luminance along a line at each of its edges, and behind the last in its quiet zone."""
+    # from light to dark at the first, and in turn up to the last
+    edge = np.arange(count + 1 + quiet)
     beside = np.arange(-3, 4)
-    light = np.ones(timing.count + 2 * (1 + len(beside)) + timing.quiet)
+    light = np.ones(count + 2 * (1 + len(beside)) + quiet)
     line = light[1 + len(beside) :]
-    line[: timing.count : 2] = -1.0
-    line[list(timing.dark)] = -1.0
+    line[:count:2] = -1.0
+    line[list(dark)] = -1.0
     change = np.diff(light)[len(beside) + edge[:, None] + beside]
     density = np.exp(-0.5 * (beside / SIGMA) ** 2) / (math.sqrt(2.0 * math.pi) * SIGMA)
-    points = np.zeros((len(edge), 4))
-    points[:, :2] = timing.u, timing.v
-    along = 0 if timing.along_u else 1
-    points[:, along] += edge - 0.5
-    points[:, 2 + along] = _across() * (density * change).sum(axis=1)
-    return points
+    return closed(_across() * (density * change).sum(axis=1))
