@@ -23,6 +23,7 @@ FLOORS = (
     ("offline",),
     ("many", "output", "demo", "line"),
     ("archive", "sinks", "live"),
+    ("page",),
     ("cli",),
     ("paper",),
     ("main",),

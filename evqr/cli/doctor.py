@@ -29,7 +29,7 @@ EXTRAS = {
     "torch": ("torch",),
     "jax": ("jax",),
     "distributed": ("distributed",),
-    "line": ("paho", "httpx"),
+    "line": ("paho", "httpx", "starlette", "uvicorn", "prometheus_client"),
 }
 """Extras, and the modules that they bring."""
 
