@@ -259,8 +259,8 @@ _HOME = {
         "Anchor",
         "CodeSpace",
         "Landmark",
-        "Symbology",
     ),
+    "evqr.symbology": ("Symbology",),
 }
 _HOME_OF = {name: module for module, names in _HOME.items() for name in names}
 

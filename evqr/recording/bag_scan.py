@@ -137,14 +137,10 @@ def _scan_of(path: str) -> Callable[[str], Iterator[_Found]]:
     return _scan_sqlite if is_sqlite(path) else _scan_ros1 if is_ros1(path) else _scan_mcap
 
 
-class _Ends(Exception):
-    """The file ends within a record."""
-
-
 def _take(file: BinaryIO, size: int) -> bytes:
     data = file.read(size) if size <= MAX_CHUNK_BYTES else b""
     if len(data) < size:
-        raise _Ends
+        raise EOFError
     return data
 
 
@@ -169,7 +165,7 @@ def _has_ros1_index(file: BinaryIO, size: int) -> bool:
         for _ in range(2 * count):  # of each the header and the data
             file.seek(*struct.unpack("<I", _take(file, 4)), os.SEEK_CUR)
         return 0 < place < size >= file.tell()
-    except (_Ends, struct.error, KeyError):
+    except (EOFError, struct.error, KeyError):
         return False
 
 
@@ -195,7 +191,7 @@ def _records_ros1(file: BinaryIO) -> Iterator[_Found]:
                 seconds, nanoseconds = struct.unpack("<II", header[b"time"])
                 (connection,) = struct.unpack("<I", header[b"conn"])
                 yield _Message(connection, 1_000_000_000 * seconds + nanoseconds, data)
-    except (_Ends, struct.error, KeyError, IndexError):
+    except (EOFError, struct.error, KeyError, IndexError):
         return  # what follows is lost
 
 
@@ -248,7 +244,7 @@ def _records_mcap(file: BinaryIO, schemas: dict[int, tuple[str, str]]) -> Iterat
             elif kind == b"\x05":
                 channel, _, _, published = struct.unpack("<HIQQ", _take(record, 22))
                 yield _Message(channel, published, record.read())
-    except (_Ends, struct.error):
+    except (EOFError, struct.error):
         return  # what follows is lost
 
 
