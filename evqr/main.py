@@ -69,6 +69,7 @@ class _Commands(click.Group):
         "convert": "evqr.cli.commands",
         "simulate": "evqr.cli.commands",
         "demo": "evqr.cli.commands",
+        "watch": "evqr.cli.watch",
         "doctor": "evqr.cli.doctor",
         "dataset": "evqr.paper.cli",
         "table1": "evqr.paper.cli",

@@ -44,6 +44,7 @@ class Reason(str, Enum):
     TRIGGER_LATE = "trigger_late", "the trigger came too late"
     OVERLOAD = "overload", "events came faster than they could be read"
     SILENCE = "silence", "no event came"
+    INTERRUPTED = "interrupted", "the connection to the source was lost"
     EVENTS_DROPPED = "events_dropped", "events were wrong or came too late, and were left out"
 
     def __new__(cls, code: str, text: str) -> Reason:

@@ -38,7 +38,7 @@ SUBJECTS = {
     "Errors and reasons": ("evqr.errors", "evqr.reason"),
     "Settings": ("evqr.config",),
     "Stages, one by one": ("evqr",),
-    "Symbols": ("evqr.symbol.space",),
+    "Symbols": ("evqr.symbol.space", "evqr.symbology"),
 }
 """Where the names of a subject come from: the longest of these beginnings counts."""
 

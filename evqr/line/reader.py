@@ -42,13 +42,17 @@ from evqr.recording.declared import DeclaredUnit
 from evqr.recording.live import Incoming, LiveIntake
 from evqr.recording.options import Asked, checked
 from evqr.recording.source import RawColumns
-from evqr.results import Statistics
+from evqr.results import CodeReading, Statistics
 from evqr.solver import Solver
 from evqr.stream.records import CodeRead, StreamRecord
 from evqr.stream.scheduler import StreamScheduler
+from evqr.symbol.messages import Message, join_messages
 
 NAME = "events"
 """What messages call a source that has no name."""
+
+APPENDED = 64
+"""Parts of messages that are kept in mind: a message has 16 at most."""
 
 STAMPS = 1 << 31
 """Stamps of packed events go round after so many microseconds."""
@@ -123,7 +127,8 @@ class Reader:
         self._odd: list[tuple[Trigger, str, int]] = []
         self._pace = Pace()
         self._records: list[LineRecord] = []
-        self._before: list[Statistics] = []
+        self._before = Statistics()
+        self._appended: deque[CodeReading] = deque(maxlen=APPENDED)
         self._skipped: Skip | None = None
         self._closed = False
         self._intake = LiveIntake(
@@ -192,6 +197,32 @@ class Reader:
         if self._newest_us is not None:
             self._newest_us = max(self._newest_us, t_us)
         return self._go_on()
+
+    def interrupt(self, reason: str = "") -> list[LineRecord]:
+        """Say that the source was lost, and may come back.
+
+        Parameters
+        ----------
+        reason : str
+            Why, in words.
+
+        Returns
+        -------
+        records : list of LineRecord
+            A `GapRecord`.
+
+        Raises
+        ------
+        ValueError
+            The reader is closed.
+        """
+        self._enter()
+        now_us = self._intake.known_us or 0
+        self._tell(
+            GapRecord, needed_us=math.inf, t_from_us=now_us, t_to_us=now_us,
+            reason=Reason.INTERRUPTED.explained(reason), reason_code=Reason.INTERRUPTED,
+        )  # fmt: skip
+        return self._given()
 
     def trigger(
         self,
@@ -276,8 +307,8 @@ class Reader:
     @property
     def statistics(self) -> Statistics:
         """What has been done so far, over all clocks of the source."""
-        parts = (*self._before, self._scheduler.statistics)
-        return Statistics(**{name: sum(part[name] for part in parts) for name in parts[0]})
+        now = self._scheduler.statistics
+        return Statistics(**{name: count + now[name] for name, count in self._before.items()})
 
     # ---- one after another
 
@@ -384,9 +415,22 @@ class Reader:
         if isinstance(record, CodeRead):
             self._codes = self._codes_before + record.code + 1
             reading = record.reading
-            self._tell(ReadRecord, needed_us=reading.t_read_us, code=self._codes - 1, reading=reading)
+            self._tell(
+                ReadRecord, needed_us=reading.t_read_us, code=self._codes - 1, reading=reading,
+                message=self._message_of(reading),
+            )  # fmt: skip
         for part in self._parts.take(record, self._job):
             self._tell_part(part)
+
+    def _message_of(self, reading: CodeReading) -> Message | None:
+        """Put the message together that a code is a part of."""
+        if reading.structured_append is None:
+            return None
+        self._appended.append(reading)
+        messages = join_messages(self._appended)
+        return next(
+            (each for each in messages if any(part.same_content(reading) for part in each.parts)), None
+        )
 
     def _end_clock(self, *, goes_on: bool) -> None:
         """Do what is left to do of an epoch, and tell the parts that are."""
@@ -404,7 +448,7 @@ class Reader:
         """Begin a new epoch."""
         self._advance()
         self._end_clock(goes_on=True)
-        self._before.append(self._scheduler.statistics)
+        self._before = self.statistics
         self._codes_before = self._codes
         self._begin()
         self._pace.begin()

@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 
 from evqr.reason import Reason
 from evqr.results import CodeReading
+from evqr.symbol.messages import Message
 from evqr.values import FrozenDict, Value, plain
 
 
@@ -68,12 +69,15 @@ class ReadRecord(LineRecord):
         Its number in the stream.
     reading : CodeReading
         As it is known when the code decodes.
+    message : Message or None
+        That it is a part of, of those that were read lately; None for a code alone.
     """
 
     record: ClassVar[str] = "read"
 
     code: int
     reading: CodeReading
+    message: Message | None = None
 
     def to_dict(self) -> dict[str, Any]:
         """Return the record as plain values.
@@ -81,9 +85,10 @@ class ReadRecord(LineRecord):
         Returns
         -------
         record : dict
-            What all records begin with, and the keys of `CodeReading.to_dict`.
+            What all records begin with, and what `evqr read --json` prints of a reading.
         """
-        return {**self._head(), "code": self.code, **self.reading.to_dict()}
+        reading = self.reading.to_dict()
+        return {**self._head(), "code": self.code, **reading, "message": plain(self.message)}
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
@@ -199,7 +204,7 @@ class GapRecord(LineRecord):
     reason : str
         Why, in words.
     reason_code : Reason
-        SILENCE, or EVENTS_DROPPED: wrong, or later than is sorted.
+        SILENCE, INTERRUPTED, or EVENTS_DROPPED: wrong, or later than is sorted.
     """
 
     record: ClassVar[str] = "gap"

@@ -204,9 +204,9 @@ def test_a_clock_that_is_reset_begins_a_new_epoch(stream, make):
     assert reader.statistics.events == len(first) + len(second)
 
 
-def test_a_silence_and_garbage_are_told_as_gaps(stream, make):
-    events, _ = stream
-    cut = events.cut(0, 3_000)
+def test_a_silence_and_garbage_are_told_as_gaps(make):
+    cut = noise(3_000, 20_000, width=VIEW["width"], height=VIEW["height"])
+    cut = replace(cut, t=cut.t + LATER_US)
     reader = make(ReadConfig(line=LineConfig(silence_us=200_000)))
     records = reader.push(cut)
     records += reader.push(replace(cut, t=cut.t + 400_000))

@@ -1,0 +1,221 @@
+"""The command `evqr watch`: the reader of a line, fed by a source that may have no end."""
+
+from __future__ import annotations
+
+import signal
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from dataclasses import replace
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import click
+
+from evqr.cli import options
+from evqr.cli.options import NOTHING, OK, config_options, in_options, note, recording_options
+from evqr.errors import EvqrError, UsageError
+from evqr.values import json_line
+
+if TYPE_CHECKING:
+    from evqr.config import ReadConfig
+    from evqr.line.gates import Trigger
+    from evqr.line.reader import Reader
+    from evqr.line.records import LineRecord
+    from evqr.live.connection import Connection
+    from evqr.live.playing import Playing
+    from evqr.recording import RecordingOptions
+
+IN_STREAM = "stream"
+"""Stands for a file of triggers, where they come with the events."""
+
+
+@click.command(
+    epilog=options.examples(
+        "evqr watch line3.raw --json",
+        "evqr watch line3.h5 --json --trigger gates.csv --speed 1",
+        "evqr watch tcp://camera:7000 --json --trigger stream",
+    )
+)
+@click.argument("source", metavar="SOURCE")
+@click.option("--json", "as_json", is_flag=True, help="One JSON object a record, and nothing else there.")
+@click.option(
+    "--trigger",
+    metavar="FILE.csv|stream",
+    help="One part a trigger: of a file, a line each, t_us,kind[,index[,ticks]], of kind pulse, start, end"
+    " or ticks; or of the source.",
+)
+@click.option(
+    "--pulse-us",
+    type=(click.IntRange(min=0), click.IntRange(min=1)),
+    metavar="BEFORE AFTER",
+    help="Microseconds before and after a pulse in which its part passes; default: 0 100000.",
+)
+@click.option(
+    "--speed",
+    type=click.FloatRange(min=0.0, min_open=True),
+    metavar="X",
+    help="Play a recording so many times as fast as it was; default: as fast as it is read.",
+)
+@click.option("--quiet", is_flag=True, help="No notes and warnings; errors are told.")
+@recording_options
+@config_options
+@click.option("--device", default="cpu", show_default=True, help='Where to compute: "cpu", "cuda:0", ...')
+@click.option(
+    "--backend",
+    type=click.Choice(["auto", "warp", "taichi", "numpy"]),
+    default="auto",
+    show_default=True,
+    help="What runs the kernels.",
+)
+def watch(
+    source: str,
+    as_json: bool,
+    trigger: str | None,
+    pulse_us: tuple[int, int] | None,
+    speed: float | None,
+    quiet: bool,
+    opening: RecordingOptions,
+    config: ReadConfig,
+    device: str,
+    backend: str,
+) -> int:
+    """Read a line: a record as soon as it is certain, one a part.
+
+    SOURCE is a recording, which is played; or tcp://HOST:PORT, unix:PATH or - for standard input, from which
+    EVT3 or a packed stream comes. It ends with its source, or on SIGTERM, and tells all parts then.
+
+    Exit status: 0 on a clean stop, 1 when a source that ended had nothing that was read, 2 when it could not
+    be used, 3 when evqr itself failed.
+    """
+    from evqr.config import TriggerConfig
+    from evqr.line.reader import Reader
+    from evqr.line.trigger_file import read_triggers
+
+    options.be_quiet(quiet)
+    if trigger is None and pulse_us is not None:
+        raise UsageError("--pulse-us says what pulses ask for: name them with --trigger")
+    cfg = None if trigger is None else TriggerConfig()
+    if cfg is not None and pulse_us is not None:
+        cfg = replace(cfg, before_us=pulse_us[0], after_us=pulse_us[1])
+    triggers = [] if trigger in (None, IN_STREAM) else read_triggers(trigger)
+
+    def make(size: tuple[int, int]) -> Reader:
+        return Reader(size, config, cfg, backend=backend, device=device, camera=source)
+
+    options.prepare(backend, device)
+    read = False
+    try:
+        with _source(source, opening, speed) as opened, _stopped_by_sigterm(opened) as stopped:
+            for record in _records(opened, make, triggers, in_stream=trigger == IN_STREAM):
+                read = read or bool(getattr(record, "texts", ())) or record.record == "read"
+                row = {"record": record.record, "recording": source, **record.to_dict()}
+                click.echo(json_line(row) if as_json else _text(record))
+    except EvqrError as error:
+        if as_json:
+            said = {"status": "error", "reason": in_options(str(error)), "reason_code": error.reason}
+            click.echo(json_line({"record": "error", "recording": source, **said}))
+        raise
+    return OK if read or stopped else NOTHING
+
+
+@contextmanager
+def _source(source: str, opening: RecordingOptions, speed: float | None) -> Iterator[Connection | Playing]:
+    """Open what is named; notes tell what was odd about it."""
+    from evqr.live.connection import Connection
+    from evqr.live.playing import Playing
+    from evqr.recording import open_recording
+
+    if Connection.meant(source) and not Path(source).exists():
+        if speed is not None:
+            raise UsageError("--speed is for recordings: what comes over a connection comes when it does")
+        yield Connection(source)
+        return
+    with open_recording(source, **opening) as recording:
+        yield Playing(recording, source, speed=speed)
+        for text in recording.notes:
+            note(f"{source}: {text}")
+
+
+@contextmanager
+def _stopped_by_sigterm(source: Connection | Playing) -> Iterator[list[int]]:
+    """Let SIGTERM end a source; what was heard is in the list."""
+    heard: list[int] = []
+
+    def stop(number: int, frame: Any) -> None:
+        heard.append(number)
+        source.stop()
+
+    before = signal.signal(signal.SIGTERM, stop)
+    try:
+        yield heard
+    finally:
+        signal.signal(signal.SIGTERM, before)
+
+
+def _records(
+    source: Connection | Playing,
+    make: Callable[[tuple[int, int]], Reader],
+    triggers: list[Trigger],
+    *,
+    in_stream: bool,
+) -> Iterator[LineRecord]:
+    """Feed a reader with what a source gives, each trigger before the events of its time."""
+    from evqr.live.pieces import Events, Interrupted, Sensor, TimePasses, TriggerSeen
+
+    reader: Reader | None = None
+    waiting = iter([*triggers])
+    following = next(waiting, None)
+
+    def give(reader: Reader, until_us: int | None) -> None:
+        nonlocal following
+        while following is not None and (until_us is None or following.t_us <= until_us):
+            reader.trigger(following.t_us, following.kind.value, following.index, following.ticks)
+            following = next(waiting, None)
+
+    try:
+        for piece in source.pieces():
+            if isinstance(piece, Sensor):
+                reader = reader or make((piece.width, piece.height))
+            elif isinstance(piece, Interrupted):
+                note(f"{source.name}: {piece.reason}; trying again")
+                if reader is not None:
+                    yield from reader.interrupt(piece.reason)
+            elif reader is None:
+                continue
+            elif isinstance(piece, Events):
+                if len(piece.columns.t):
+                    give(reader, int(piece.columns.t.max()))
+                    yield from reader.push(piece.columns)
+            elif isinstance(piece, TimePasses):
+                give(reader, piece.t_us)
+                yield from reader.advance(piece.t_us)
+            elif isinstance(piece, TriggerSeen) and in_stream:
+                reader.trigger(piece.t_us, piece.kind, piece.index, piece.ticks)
+    except EvqrError:
+        if reader is not None:  # what was read before what is wrong is told
+            yield from reader.close()
+        raise
+    if reader is not None:
+        give(reader, None)
+        yield from reader.close()
+
+
+def _text(record: LineRecord) -> str:
+    """Describe a record in a line."""
+    from evqr.line.records import ClockRecord, GapRecord, OverloadRecord, PartRecord, ReadRecord
+    from evqr.output.records import payload_text
+
+    if isinstance(record, ReadRecord):
+        return f"read      {payload_text(record.reading)}"
+    if isinstance(record, PartRecord):
+        of = f"part {record.part}" + ("" if record.trigger is None else f" (trigger {record.trigger})")
+        texts = ", ".join(map(payload_text, record.readings))
+        return f"{of}: {texts or 'NO READ: ' + record.reason}" + (
+            f" ({record.reason})" if texts and record.reason else ""
+        )
+    if isinstance(record, GapRecord):
+        return f"gap       {record.t_from_us} to {record.t_to_us} us: {record.reason}"
+    if isinstance(record, ClockRecord):
+        return f"clock     was reset from {record.t_before_us} to {record.t_after_us} us"
+    assert isinstance(record, OverloadRecord)
+    return f"overload  searches skipped: {record.windows}, {record.behind_ms:.0f} ms behind"

@@ -1,0 +1,81 @@
+"""A recording, played as if a camera sent it."""
+
+from __future__ import annotations
+
+import threading
+import time
+from collections.abc import Iterator
+
+from evqr.events.array import EventArray
+from evqr.live.pieces import Events, Piece, Sensor, TimePasses
+from evqr.recording import Recording
+from evqr.recording.source import RawColumns
+
+PIECE_US = 5_000
+"""Events that come together, where nothing says how fast [us]."""
+
+LIVE_PIECE_US = 1_000
+"""The same where a speed is asked for: a camera's packets [us]."""
+
+
+class Playing:
+    """A stream of events from a recording.
+
+    Parameters
+    ----------
+    recording : Recording
+        Open.
+    name : str
+        What it is called.
+    speed : float, optional
+        Time of the recording over time: 1 as it was. Default: as fast as it is read.
+    """
+
+    def __init__(self, recording: Recording, name: str, *, speed: float | None = None) -> None:
+        self.name = name
+        self._recording = recording
+        self._speed = speed
+        self._stopped = threading.Event()
+
+    def stop(self) -> None:
+        """End `pieces` soon; any thread, and the handler of a signal, may say so."""
+        self._stopped.set()
+
+    def pieces(self) -> Iterator[Piece]:
+        """Give its events, until its end or until it is stopped.
+
+        Yields
+        ------
+        piece : Piece
+            The size of the sensor first.
+
+        Raises
+        ------
+        RecordingError
+            The recording is wrong, from here on.
+        """
+        yield Sensor(self._recording.width, self._recording.height)
+        length_us = PIECE_US if self._speed is None else LIVE_PIECE_US
+        began, first_us = time.monotonic(), None
+        for chunk in self._recording.chunks():
+            start_us, end_us = int(chunk.t[0]), int(chunk.t[-1])
+            first_us = start_us if first_us is None else first_us
+            while start_us <= end_us:
+                piece = chunk.between(start_us, start_us + length_us)
+                if self._speed is not None:
+                    due_s = 1e-6 * (start_us + length_us - first_us) / self._speed
+                    self._stopped.wait(max(0.0, began + due_s - time.monotonic()))
+                if self._stopped.is_set():
+                    return
+                if len(piece):
+                    yield Events(columns_of(piece))
+                    start_us += length_us
+                else:  # nothing for a while
+                    next_us = int(chunk.t[chunk.first_at(start_us)])
+                    start_us = next_us if self._speed is None else min(start_us + length_us, next_us)
+                    yield TimePasses(start_us)
+
+
+def columns_of(events: EventArray) -> RawColumns:
+    """Give events as a source does."""
+    return RawColumns(events.t, events.x, events.y, events.p)
