@@ -11,7 +11,7 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from itertools import islice
+from itertools import islice, pairwise
 
 import numpy as np
 from numpy.typing import NDArray
@@ -47,7 +47,7 @@ class _Window:
     """What is known of the codes of one window while it is searched."""
 
     def __init__(
-        self, index: int, found: Found, motion: Motion, tau_us: tuple[float, float] | None, cfg: ReadConfig
+        self, index: int, motion: Motion, tau_us: tuple[float, float] | None, cfg: ReadConfig
     ) -> None:
         self.index, self.motion, self.tau_us = index, motion, tau_us
         self.codes: list[Detection] = []
@@ -56,18 +56,15 @@ class _Window:
         self._closest: tuple[float, Target | None] = 0.0, None
         self._best_match: tuple[float, Hypotheses | None] = 0.0, None
         self._cfg = cfg
-        self.take(found, last=len(cfg.finder.passes) == 1)
 
-    def take(self, found: Found, last: bool) -> None:
-        """Take what a pass found, instead of what those before did."""
+    def take(self, found: Found, made: Hypotheses, last: bool) -> None:
+        """Take what a pass found and the codes that are made up of it, instead of what those before did."""
         cfg = self._cfg
         self.peaks, self._last = found.peaks, last
         self._taken = np.zeros(len(found.peaks), bool)
         # where the most promising is no code a more thorough pass will tell, rather than the next ones
         self._failures, self._most = 0, cfg.finder.tries if last else 1
-        made = codes_of_triples(found.peaks.table, found.triples, cfg.finder)
-        made = made[kinds_of(cfg.symbologies)[made.size]][: cfg.finder.hypotheses]
-        first = cfg.finder.first_hypotheses
+        made, first = made[: cfg.finder.hypotheses], cfg.finder.first_hypotheses
         self._waiting = [part for part in (made[:first], made[first:] if last else made[:0]) if len(part)]
         self._matching = made[:0]
         self._match = np.zeros(0, np.float32)
@@ -230,23 +227,19 @@ def find_codes(
             lags_px=[NO_LAG if tau == NO_LAG else None for tau in tau_us],
         )  # fmt: skip
         pyramid = finder.pyramid
-        windows = [
-            _Window(k, one, motion, tau, cfg)
-            for k, (one, motion, tau) in enumerate(
-                zip(finder.find(0, range(len(batch))), motions, tau_us, strict=True)
-            )
-        ]
-    left = windows
+    windows = [
+        _Window(k, motion, tau, cfg) for k, (motion, tau) in enumerate(zip(motions, tau_us, strict=True))
+    ]
     passes = len(cfg.finder.passes)
     for which in range(passes):
-        if which:
-            left = [window for window in windows if not window.sure]
-            if not left:
-                break
-            with clock("finder"):
-                found = finder.find(which, [window.index for window in left])
-                for window in left:
-                    window.take(found[window.index], last=which == passes - 1)
+        left = [window for window in windows if not window.sure]
+        if not left:
+            break
+        with clock("finder"):
+            all_found = finder.find(which, [window.index for window in left])
+            found = [all_found[window.index] for window in left]
+            for window, one, made in zip(left, found, _made_up(found, cfg), strict=True):
+                window.take(one, made, last=which == passes - 1)
         while _score(left, pyramid, cfg, workspace, clock):
             while rows := [row for window in left for row in window.rows()]:
                 _try(batch, rows, pyramid, cfg, workspace, clock)
@@ -254,6 +247,21 @@ def find_codes(
         while rows := [row for window in windows for row in window.rows()]:
             _try(batch, rows, pyramid, cfg, workspace, clock)
     return [window.result() for window in windows]
+
+
+def _made_up(found: Sequence[Found], cfg: ReadConfig) -> list[Hypotheses]:
+    """Give the codes that what was found in each window could be the corners of."""
+    ends = np.cumsum([len(one.peaks) for one in found])
+    begins = ends - [len(one.peaks) for one in found]
+    triples = np.concatenate([one.triples for one in found])
+    # peaks of all windows are numbered through
+    triples[:, 1:4] += begins.repeat([len(one.triples) for one in found])[:, None]
+    made = codes_of_triples(np.concatenate([one.peaks.table for one in found]), triples, cfg.finder)
+    made = made[kinds_of(cfg.symbologies)[made.size]]
+    window = np.searchsorted(ends, made.peaks[:, 0], side="right")
+    made.peaks[...] -= begins[window, None]
+    last = np.searchsorted(window, np.arange(len(found)), side="right").tolist()
+    return [made[first:end] for first, end in pairwise([0, *last])]
 
 
 def _score(

@@ -10,6 +10,7 @@ from __future__ import annotations
 import math
 from collections.abc import Collection, Sequence
 from dataclasses import dataclass, replace
+from itertools import pairwise
 
 import numpy as np
 from numpy.typing import NDArray
@@ -154,10 +155,11 @@ class Finder(Keeper):
                 if level.module_px >= cfg.passes[which].least_module_px:
                     self._extent.host[k, n] = level.rows, level.columns
         self.once(which, lambda: self._staging.sequence(lambda: self._launch_pass(which)))()
-        peaks, triples = self._peaks.read(), self._triples.read()
+        peaks, triples = self._peaks.read()[: len(regions)], self._triples.read()[: len(regions)]
+        counts = np.count_nonzero(peaks[:, :, 0], axis=1).tolist()
         return [
-            Found(Peaks(peaks[k, : np.count_nonzero(peaks[k, :, 0])].copy()), in_order(triples[k]))
-            for k in range(len(regions))
+            Found(Peaks(peaks[k, :count].copy()), some)
+            for k, (count, some) in enumerate(zip(counts, in_order(triples), strict=True))
         ]
 
     def _launch_pass(self, which: int) -> None:
@@ -186,12 +188,14 @@ def bytes_for(windows: Sequence[Window], cfg: FinderConfig) -> float:
     return BYTES_A_CELL * max(window.width * window.height for window in windows) / cell**2
 
 
-def in_order(triples: NDArray[np.float32]) -> NDArray[np.float32]:
-    """Give the triples (N, 5) of all corners (P, most, 4), best first."""
-    corner, place = np.nonzero(triples[:, :, 0])
-    found = triples[corner, place]
-    order = np.argsort(-found[:, 0], kind="stable")
-    return np.column_stack([found[:, 0], corner, found[:, 1:]]).astype(np.float32)[order]
+def in_order(triples: NDArray[np.float32]) -> list[NDArray[np.float32]]:
+    """Give for each window the triples (N, 5) of all corners (B, P, most, 4), best first."""
+    window, corner, place = np.nonzero(triples[..., 0])
+    found = triples[window, corner, place]
+    order = np.lexsort((-found[:, 0], window))
+    ordered = np.column_stack([found[:, 0], corner, found[:, 1:]]).astype(np.float32)[order]
+    ends = np.searchsorted(window, np.arange(len(triples)), side="right").tolist()
+    return [ordered[first:end] for first, end in pairwise([0, *ends])]
 
 
 def finding(
