@@ -190,11 +190,11 @@ class Solver:
                 )  # fmt: skip
                 for k, one in zip(rows, found, strict=True):
                     best[k] = max(one, best[k], key=_closeness)
-        timings_ms = {stage: ms / len(batch) for stage, ms in clock.ms.items()}
+        timings_ms = FrozenDict({stage: ms / len(batch) for stage, ms in clock.ms.items()})
         return [
-            replace(one, timings_ms=timings_ms)
+            one.altered(timings_ms=timings_ms)
             if isinstance(one, NotFound)
-            else (replace(one[0], timings_ms=timings_ms), *one[1:])
+            else (one[0].altered(timings_ms=timings_ms), *one[1:])
             for one in best
         ]
 

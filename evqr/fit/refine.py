@@ -18,7 +18,8 @@ from evqr.fit.lag import estimate_lags
 from evqr.fit.measure import measure, measuring
 from evqr.fit.region import Region, region_around
 from evqr.motion import Motion
-from evqr.symbol.space import CodeSpace
+from evqr.symbol.space import CodeSpace, closed
+from evqr.values import Value
 from evqr.workspace import Workspace
 
 
@@ -33,7 +34,7 @@ class Guess(Protocol):
 
 
 @dataclass(frozen=True, eq=False)
-class Refinement:
+class Refinement(Value):
     """A candidate, refined.
 
     Attributes
@@ -120,9 +121,8 @@ def refine(
             k for k in pending if len(tried[k]) < len(candidates[k]) and not _is_good(tried[k][-1], one)
         ]
     return [
-        replace(
-            max(of_window, key=lambda refinement: refinement.score),
-            iterations=sum(refinement.detection.iterations for refinement in of_window),
+        max(of_window, key=lambda refinement: refinement.score).altered(
+            iterations=sum(refinement.detection.iterations for refinement in of_window)
         )
         for of_window in tried
     ]
@@ -187,7 +187,7 @@ def complete(
     lagging: list[int] = []
     unsure: list[int] = []
     for k, (found, tau) in enumerate(zip(refinements, tau_us, strict=True)):
-        detections.append(replace(found.detection, iterations=found.iterations))
+        detections.append(found.detection.altered(iterations=found.iterations))
         if tau is None and found.score < cfg.align.sharp_score:
             lagging.append(k)
         elif found.escaped:
@@ -218,9 +218,8 @@ def _with_lags(
     pose = np.array([each.region.in_cells(each.detection.pose.tolist()) for each in found])
     lags_px, aligned = estimate_lags(batch, targets, regions, pose, cfg, workspace=workspace)
     return [
-        replace(
-            each.target,
-            pose=np.array(each.region.in_px(aligned.pose[k].tolist())),
+        each.target.altered(
+            pose=closed(np.array(each.region.in_px(aligned.pose[k].tolist()))),
             tau_us=each.target.motion.tau_us((on, off)),
         )
         for k, (each, (on, off)) in enumerate(zip(found, lags_px.tolist(), strict=True))

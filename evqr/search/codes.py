@@ -10,7 +10,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from itertools import islice, pairwise
 
 import numpy as np
@@ -371,7 +371,7 @@ def _try(
         if refinement.score < one.min_score:
             row.window.failed(refinement.score, refinement.detection.target)
         else:
-            good.append((k, row.window, replace(refinement, iterations=steps)))
+            good.append((k, row.window, refinement.altered(iterations=steps)))
     if not good:
         return
     codes = complete(
