@@ -107,12 +107,12 @@ class Value:
 
         Parameters
         ----------
-        **fields
+        **fields : any
             Those that differ.
 
         Returns
         -------
-        value : an instance
+        value : Value
             With what is cached of this one.
         """
         made = object.__new__(type(self))
