@@ -10,6 +10,7 @@ from __future__ import annotations
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, field
 from enum import Enum
+from os import PathLike, fsdecode
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -117,13 +118,15 @@ class CodeReading(_OfSymbol, Payload):
     def __str__(self) -> str:
         return f"{self.text!r} ({self.symbol}) at {self.t_read_us} us"
 
-    def draw(self, source: Any, **drawing: Any) -> Figure:
+    def draw(self, source: Any, to: str | PathLike[str] | None = None, **drawing: Any) -> Figure:
         """Draw how the code was read, as `draw_reading` does.
 
         Parameters
         ----------
         source : path, EventArray, Recording or arrays
             The events.
+        to : path, optional
+            Picture file to write, .png, .svg or .pdf.
         **drawing : as for `draw_reading`
             Such as ``truth``, and what `open_recording` takes.
 
@@ -136,10 +139,17 @@ class CodeReading(_OfSymbol, Payload):
         ------
         MissingExtra, RecordingError
             Matplotlib is not installed; the source cannot be read.
+        UsageError
+            The file cannot be written.
+        TypeError
+            The source is none: a reading does not know where its events are.
         """
         import evqr
 
-        return evqr.draw_reading(source, self, **drawing)
+        source, to = _source_and_file(source, to)
+        if source is None:
+            raise TypeError(f"source must be given, what holds the events: draw(source, to={str(to)!r})")
+        return evqr.draw_reading(source, self, to=to, **drawing)
 
     def to_dict(self) -> dict[str, Any]:
         """Return the record of `evqr read --json`.
@@ -497,13 +507,17 @@ class ReadResult(Value):
         found = ", ".join(map(str, self.readings)) or f"{self.status.value}: {self.reason}"
         return f"{self.source}: {found}" if self.source else found
 
-    def draw(self, source: Any = None, *, reading: int = 0, **drawing: Any) -> Figure:
+    def draw(
+        self, source: Any = None, to: str | PathLike[str] | None = None, *, reading: int = 0, **drawing: Any
+    ) -> Figure:
         """Draw how a code was read, or what there was where nothing was read, as `draw_reading` does.
 
         Parameters
         ----------
         source : path, EventArray, Recording or arrays, optional
-            The events; default: the file that was read.
+            The events; default: the file that was read.  The name of a picture alone is taken for ``to``.
+        to : path, optional
+            Picture file to write, .png, .svg or .pdf.
         reading : int
             Which one.
         **drawing : as for `draw_reading`
@@ -520,16 +534,20 @@ class ReadResult(Value):
             There is no such reading, or no source.
         MissingExtra, RecordingError
             Matplotlib is not installed; the source cannot be read.
+        UsageError
+            The file cannot be written.
         """
         import evqr
 
+        source, to = _source_and_file(source, to)
         if self.readings and not -len(self.readings) <= reading < len(self.readings):
             raise ValueError(f"reading must be one of {len(self.readings)}, got {reading}")
         if source is None:
             if not self.source:
                 raise ValueError("source must be given: this is a result of events in memory")
             source = self.source
-        return evqr.draw_reading(source, self.readings[reading] if self.readings else self, **drawing)
+        shown = self.readings[reading] if self.readings else self
+        return evqr.draw_reading(source, shown, to=to, **drawing)
 
     def to_dict(self) -> dict[str, Any]:
         """Return all of it as plain values.
@@ -541,6 +559,17 @@ class ReadResult(Value):
         """
         record = {**super().to_dict(), "compute_ms": plain(self.compute_ms, 3)}
         return {**record, "messages": plain(self.messages)}
+
+
+PICTURES = (".png", ".svg", ".pdf", ".jpg", ".jpeg", ".webp", ".tif", ".tiff", ".eps", ".gif", ".bmp")
+"""Endings of names that are never those of recordings."""
+
+
+def _source_and_file(source: Any, to: Any) -> tuple[Any, Any]:
+    """Tell what holds the events from the file to write: who names a picture alone means that."""
+    if to is None and isinstance(source, (str, PathLike)) and fsdecode(source).lower().endswith(PICTURES):
+        return None, source
+    return source, to
 
 
 def _beside_text(payload: Payload | None) -> dict[str, Any]:

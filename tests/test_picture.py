@@ -197,6 +197,31 @@ def test_results_draw_themselves_from_whatever_holds_the_events(tmp_path, nothin
         sample_results.read_result().draw()
     with pytest.raises(TypeError, match="reading must be a CodeReading or a ReadResult, got str"):
         picture.draw_reading(path, "LOT 42")  # pyright: ignore[reportArgumentType]
+    with pytest.raises(TypeError, match="and the source one: the source comes first"):
+        picture.draw_reading(result, path)  # pyright: ignore[reportArgumentType]
+
+
+def test_who_names_a_picture_gets_it(tmp_path, nothing):
+    path = sample_results.recording(tmp_path / "events.h5")
+    read, none = (
+        dataclasses.replace(result, source=str(path)) for result in (sample_results.read_result(), nothing)
+    )
+    pictures = [tmp_path / f"{name}.png" for name in "abcdef"]
+    read.draw(pictures[0])
+    read.draw(str(pictures[1]), reading=-1)
+    read.draw(sample_results.events(), pictures[2])
+    none.draw(to=pictures[3])
+    read.readings[0].draw(path, to=pictures[4])
+    picture.draw_reading(path, read, to=pictures[5])
+    assert [each.exists() for each in pictures] == [True] * 6
+    with pytest.raises(
+        TypeError, match=r"source must be given, what holds the events: draw\(source, to='x.png'\)"
+    ):
+        read.readings[0].draw("x.png")
+    with pytest.raises(UsageError, match=r"x.bmp: unknown picture format 'bmp'"):
+        read.draw("x.bmp")
+    with pytest.raises(TypeError, match="got int"):
+        read.draw(3)
 
 
 def test_what_a_camera_saw(tmp_path):

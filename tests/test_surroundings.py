@@ -179,6 +179,24 @@ main()
     assert (process.returncode, err) == (130, "evqr: interrupted\n")
 
 
+@POSIX
+@pytest.mark.parametrize("loading", ["evqr", "evqr.errors", "click", "evqr.cli.running"])
+def test_ctrl_c_is_one_line_from_the_first_import_of_the_program_on(loading):
+    code = f"""
+import os, signal, sys
+class Interrupted:
+    def find_spec(self, name, path=None, target=None):
+        if name == {loading!r}:
+            os.kill(os.getpid(), signal.SIGINT)
+sys.meta_path.insert(0, Interrupted())
+import evqr_command
+evqr_command.main()
+"""
+    with python(code) as process:
+        _, err = process.communicate(timeout=60)
+    assert (process.returncode, err) == (130, "evqr: interrupted\n")
+
+
 def test_the_program_seldom_looks_for_garbage_and_not_at_its_end():
     code = """
 import atexit, gc

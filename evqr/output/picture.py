@@ -80,8 +80,7 @@ def save_picture(
     UsageError
         The ending names no picture format, or the file cannot be written.
     """
-    require_drawable(path)
-    save_figure(path, draw_reading(source, reading, truth=truth, **opening))
+    draw_reading(source, reading, truth=truth, to=path, **opening)
 
 
 def draw_reading(
@@ -89,6 +88,7 @@ def draw_reading(
     reading: CodeReading | ReadResult,
     *,
     truth: NDArray[np.int8] | None = None,
+    to: str | PathLike[str] | None = None,
     **opening: Unpack[RecordingOptions],
 ) -> Figure:
     """Draw how a code was read.
@@ -102,6 +102,8 @@ def draw_reading(
         What to show; of a result its first reading, or, where nothing was read, what came nearest.
     truth : (V, U) int8, optional
         True modules, -1 dark, +1 light; None: the modules as decoded.
+    to : path, optional
+        File to write the picture to, .png, .svg or .pdf.
     **opening : as for `open_recording`
         Such as ``sensor`` and ``time_unit``, for what is not open yet.
 
@@ -119,17 +121,35 @@ def draw_reading(
         Matplotlib is not installed, or what the source needs.
     RecordingError
         The source cannot be read.
+    UsageError
+        The file cannot be written, or its ending names no picture format.
     ValueError
         ``truth`` has another shape than the estimate.
     TypeError
         The source or the reading is none.
     """
-    if isinstance(reading, ReadResult):
-        if not reading.readings:
-            return draw_nothing_read(source, reading, **opening)
-        reading = reading.readings[0]
-    if not isinstance(reading, CodeReading):
-        raise TypeError(f"reading must be a CodeReading or a ReadResult, got {type(reading).__name__}")
+    if not isinstance(reading, (CodeReading, ReadResult)):
+        turned = isinstance(source, (CodeReading, ReadResult))
+        raise TypeError(
+            f"reading must be a CodeReading or a ReadResult, got {type(reading).__name__}"
+            + (", and the source one: the source comes first" if turned else "")
+        )
+    if to is not None:
+        require_drawable(to)  # before anything is computed
+    if isinstance(reading, ReadResult) and not reading.readings:
+        figure = draw_nothing_read(source, reading, **opening)
+    else:
+        shown = reading.readings[0] if isinstance(reading, ReadResult) else reading
+        figure = _draw_code(source, shown, truth, **opening)
+    if to is not None:
+        save_figure(to, figure)
+    return figure
+
+
+def _draw_code(
+    source: Any, reading: CodeReading, truth: NDArray[np.int8] | None, **opening: Unpack[RecordingOptions]
+) -> Figure:
+    """Draw how a code was read."""
     if truth is not None and truth.shape != reading.estimate.shape:
         raise ValueError(f"truth must have shape {reading.estimate.shape}, got {truth.shape}")
     events = events_between(source, span_us(reading), **opening)
