@@ -26,13 +26,29 @@ MCAP_MAGIC = b"\x89MCAP0\r\n"
 
 
 class Definition(NamedTuple):
-    """Text of a message definition, as rosbags has it."""
+    """A message definition, as rosbags has it.
+
+    Attributes
+    ----------
+    data : str
+        Its text.
+    """
 
     data: str
 
 
 class Connection(NamedTuple):
-    """A topic with the type of its messages, as rosbags has it."""
+    """A topic with the type of its messages, as rosbags has it.
+
+    Attributes
+    ----------
+    id : int
+        Its number in the file.
+    topic, msgtype : str
+        Names.
+    msgdef : Definition
+        What a message holds.
+    """
 
     id: int
     topic: str
@@ -183,9 +199,9 @@ def _records_ros1(file: BinaryIO) -> Iterator[_Found]:
                 continue
             data = _take(file, length)
             if kind == 7:
-                content = _fields(data)
-                topic, msgtype = header[b"topic"].decode(), content[b"type"].decode()
-                definition = Definition(content[b"message_definition"].decode(errors="replace"))
+                said = _fields(data)
+                topic, msgtype = header[b"topic"].decode(), said[b"type"].decode()
+                definition = Definition(said[b"message_definition"].decode(errors="replace"))
                 yield Connection(*struct.unpack("<I", header[b"conn"]), topic, msgtype, definition)
             elif kind == 2:
                 seconds, nanoseconds = struct.unpack("<II", header[b"time"])
