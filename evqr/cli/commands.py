@@ -135,10 +135,10 @@ def convert(recording: Path, output: Path, opening: RecordingOptions, force: boo
     "--symbology",
     default="QRCode",
     show_default=True,
-    help="Or MicroQRCode, RMQRCode, DataMatrix; as microqr, too.",
+    help="Or MicroQRCode, RMQRCode, DataMatrix, Aztec; as microqr, too.",
 )
 @click.option(
-    "--version", type=VersionType(), metavar="N|M1|R11x27|22x22", help="Default: what holds the text."
+    "--version", type=VersionType(), metavar="N|M1|R11x27|22x22|F4", help="Default: what holds the text."
 )
 @click.option(
     "--ec", type=click.Choice(["L", "M", "Q", "H"]), default="M", show_default=True, help="Error correction."

@@ -58,7 +58,7 @@ class VersionType(click.ParamType):
         names = {str(version).lower(): version for symbol in SYMBOLS.values() for version in symbol.sizes}
         if str(value).lower() not in names:
             self.fail(
-                f"{value!r} is no version; write as 1 to 40, M1 to M4, R11x27 or 22x22",
+                f"{value!r} is no version; write as 1 to 40, M1 to M4, R11x27, 22x22, C1 or F4",
                 param,
                 ctx,
             )

@@ -38,12 +38,13 @@ class CodePlacement:
     text : str
         Payload, not empty.
     symbology : Symbology or str
-        "QRCode", "MicroQRCode", "RMQRCode" or "DataMatrix", in any case.
+        "QRCode", "MicroQRCode", "RMQRCode", "DataMatrix" or "Aztec", in any case.
     version : Version, optional
-        1 to 40, M1 to M4, R7x43 to R17x139, or as 22x22; None: the smallest that holds the text.
+        1 to 40, M1 to M4, R7x43 to R17x139, as 22x22, or C1 to C4 and F1 to F32; None:
+        the smallest that holds the text.
     ec : EcLevel
-        Error correction level "L", "M", "Q" or "H"; M1 and Data Matrix have none, rMQR codes
-        "M" and "H".
+        Error correction level "L", "M", "Q" or "H"; M1, Data Matrix and Aztec have none,
+        rMQR codes "M" and "H".
     mask : int, optional
         0 to 7, or 0 to 3; None: chosen as the standard says.
     module_px : float [px]

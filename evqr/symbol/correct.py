@@ -24,6 +24,13 @@ from evqr.symbol.reed_solomon import ReedSolomon, Symbols
 # stronger than the cap counts no more than the cap: where it is wrong, it is dirt rather than noise.
 _WEIGHT_CAP = 2.0
 _LOG_ODDS = 4.0
+_FULL_TRIES = 34
+"""Tries with effort "full", at most: all that there are up to 68 check words, the most that a block of a QR
+code or a Data Matrix symbol has."""
+
+_MANY_CHECK = 100
+"""Check words from which on tries get fewer."""
+
 _TINY = float(np.finfo(np.float64).tiny)
 
 
@@ -196,7 +203,10 @@ def _tries(n_check: int, config: DecodeConfig, effort: Effort) -> list[int]:
     Besides none, as many as leave an even number of check words: one error takes two of them.
     """
     tries = sorted({0, *range(n_check % 2, n_check - config.min_check + 1, 2)})
-    if effort == "full":
+    # what a try costs grows with the square of the check words
+    most = _FULL_TRIES if effort == "full" else config.quick_tries
+    most = max(1, min(most, _FULL_TRIES * _MANY_CHECK**2 // n_check**2))
+    if most >= len(tries):
         return tries
-    chosen = np.linspace(0, len(tries) - 1, num=config.quick_tries).round().astype(int)
+    chosen = np.linspace(0, len(tries) - 1, num=most).round().astype(int)
     return [tries[i] for i in sorted(set(chosen.tolist()))]

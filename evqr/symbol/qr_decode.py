@@ -20,6 +20,7 @@ from evqr.symbol.chance import ORIENTATIONS, confidence, count_pads, log_sum
 from evqr.symbol.content import content_of
 from evqr.symbol.correct import Corrected, Doubt, correct_block
 from evqr.symbol.decoded import Decoded, DecodeFailure, Effort
+from evqr.symbol.format_words import likely_words
 from evqr.symbol.payload import Payload
 from evqr.symbol.qr_codewords import (
     ErrorLevel,
@@ -31,8 +32,6 @@ from evqr.symbol.qr_codewords import (
 from evqr.symbol.qr_segments import segments_of
 from evqr.symbol.reed_solomon import Symbols
 from evqr.symbol.space import CodeSpace, closed
-
-_TINY = float(np.finfo(np.float64).tiny)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -96,18 +95,11 @@ def decode_words(
         The first reading beyond chance, or why the likeliest format gave none.
     """
     words = format_words(space.version)
-    soft = q.ravel()[words.at]
-    agreement = (words.signs * soft).sum(axis=1)
-    correlation = (agreement / max(float(np.abs(soft).sum()), _TINY)).tolist()
-    best = max(correlation)
-    if best < config.format_floor:
-        detail = f"its modules correlate {best:.2f} with the likeliest word, {config.format_floor:.2f} needed"
-        return DecodeFailure(reason=Reason.FORMAT_UNREADABLE, detail=detail, space=space)
-
-    likely = [k for k, value in enumerate(correlation) if value >= best - config.format_margin]
-    likely.sort(key=lambda k: -correlation[k])
+    likely = likely_words(q.ravel()[words.at], words.signs, config)
+    if isinstance(likely, str):
+        return DecodeFailure(reason=Reason.FORMAT_UNREADABLE, detail=likely, space=space)
     outcomes = []
-    for index in likely[: config.format_candidates]:
+    for index in likely:
         level, mask = words.meaning[index]
         form = _Format(index=index, level=level, mask=mask)
         outcome = _decode_format(q, space, form, config, effort, evidence)

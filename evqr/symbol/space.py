@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 from evqr.symbology import Symbology
 
 Version = int | str
-"""Of a symbol: 1 to 40 for QR codes, text for others (M2, R11x27, 22x22)."""
+"""Of a symbol: 1 to 40 for QR codes, text for others (M2, R11x27, 22x22, F4)."""
 
 
 class Landmark(str, Enum):

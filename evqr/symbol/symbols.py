@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from evqr.config import DecodeConfig
-from evqr.symbol import data_matrix, micro_qr, qr, rmqr
+from evqr.symbol import aztec, data_matrix, micro_qr, qr, rmqr
 from evqr.symbol.decoded import Decoded, DecodeFailure, Effort
 from evqr.symbol.space import Anchor, CodeSpace, Timing, Version
 from evqr.symbology import Symbology
@@ -72,6 +72,13 @@ SYMBOLS: Mapping[Symbology, Symbol] = MappingProxyType(
             space=data_matrix.space,
             decode=data_matrix.decode,
             mirror=data_matrix.mirror,
+        ),
+        Symbology.AZTEC: Symbol(
+            sizes=aztec.SIZES,
+            anchors=aztec.anchors,
+            timing=aztec.timing,
+            space=aztec.space,
+            decode=aztec.decode,
         ),
     }
 )

@@ -135,6 +135,8 @@ def test_micro_qr_codes_are_printed_too(options, version, level, size):
         ({"symbology": "rmqr", "version": "R7x43"}, Symbology.RMQR_CODE, "R7x43", "M"),
         ({"symbology": "datamatrix"}, Symbology.DATA_MATRIX, "14x14", ""),
         ({"symbology": "datamatrix", "version": "8x48"}, Symbology.DATA_MATRIX, "8x48", ""),
+        ({"symbology": "aztec"}, Symbology.AZTEC, "C1", ""),
+        ({"symbology": "aztec", "version": "F1"}, Symbology.AZTEC, "F1", ""),
     ],
 )
 def test_symbols_of_other_kinds_are_printed_too(options, symbology, version, level):
@@ -153,7 +155,7 @@ def test_symbols_of_other_kinds_are_printed_too(options, symbology, version, lev
     ("options", "message"),
     [
         ({"symbology": "Code39"}, "symbology must be one of QRCode"),
-        ({"symbology": "aztec"}, "symbology is 'Aztec', but must be one of QRCode, MicroQRCode"),
+        ({"symbology": "aztec", "version": "M2"}, "version is 'M2', but must be C1 to F32"),
         ({"symbology": "microqr", "version": 2}, "version is 2, but must be M1 to M4"),
         ({"version": "M2"}, "version is 'M2', but must be 1 to 40"),
         ({"symbology": "microqr", "mask": 4}, "mask is 4, but must be 0 to 3"),
