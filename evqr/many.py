@@ -3,10 +3,13 @@
 from __future__ import annotations
 
 import logging
+import time
 from collections.abc import Callable, Iterable, Iterator, Mapping
 from concurrent.futures import BrokenExecutor, CancelledError, Executor, Future
+from contextlib import ExitStack
 from dataclasses import replace
 from functools import partial
+from itertools import islice
 from os import PathLike, fsdecode
 from typing import TYPE_CHECKING, Any
 
@@ -24,9 +27,14 @@ if TYPE_CHECKING:
 
     from evqr.config import ReadConfig
     from evqr.recording import RecordingOptions
+    from evqr.solver import Solver
     from evqr.solvers import KeptSolvers
+    from evqr.work import Working
 
 _LOG = logging.getLogger(__name__)
+
+SIDE_BY_SIDE = 16
+"""Recordings that are read at once on a device; each holds its newest events."""
 
 
 def read_many(
@@ -47,8 +55,9 @@ def read_many(
         What `read_codes` takes: paths, event arrays, ..., or one of these alone.  They travel to the workers
         of ``executor``: on other machines, a path must lead to the same file.
     executor : concurrent.futures.Executor, optional
-        Any, Dask's ``client.get_executor()`` included; the caller closes it.  None: in this thread, one by
-        one.  Each of its threads keeps buffers from one recording to the next, until it ends.
+        Any, Dask's ``client.get_executor()`` included; the caller closes it.  Each of its threads keeps
+        buffers from one recording to the next, until it ends.  None: in this thread, one by one on a CPU,
+        some side by side on a device.
     config, backend, device, threads, **opening : as for `read_codes`
         The same for every source.
 
@@ -74,7 +83,13 @@ def read_many(
     if executor is None:
         from evqr.solvers import KeptSolvers
 
-        yield from map(partial(_read_one, KeptSolvers(), **options), sources)
+        kept, count = KeptSolvers(), _at_once(device, threads)
+        if count == 1:
+            yield from map(partial(_read_one, kept, **options), sources)
+            return
+        waiting = iter(sources)
+        while batch := list(islice(waiting, count)):
+            yield from _read_together(kept, batch, **options)
         return
     read = partial(_read_in_worker, **options)
     # All are submitted at once: an executor does not say how many workers it has, and none should wait.
@@ -102,10 +117,51 @@ def _read_one(kept: KeptSolvers, source: Any, **options: Any) -> ReadResult:
     try:
         with kept.used():
             return read_codes(source, **options)
-    except Exception as error:  # whatever is wrong with one source must not end the others
-        if not isinstance(error, EvqrError):
-            _LOG.debug("%s", _name(source), exc_info=True)  # a result has no room for where it happened
-        return failed(_name(source), error)
+    except Exception as error:
+        return _failed(source, error)
+
+
+def _at_once(device: str, threads: int | None) -> int:
+    """Give how many recordings are read side by side."""
+    return 1 if device == "cpu" or (threads or 1) > 1 else SIDE_BY_SIDE
+
+
+def _read_together(
+    kept: KeptSolvers,
+    sources: list[Any],
+    *,
+    config: ReadConfig | None,
+    backend: str,
+    device: str,
+    threads: int | None,
+    **opening: Unpack[RecordingOptions],
+) -> list[ReadResult]:
+    """Read recordings side by side, with one solver: what is due of all of them is done at once."""
+    from evqr.offline import open_source, reading_codes
+    from evqr.solvers import solvers_for
+    from evqr.work import answer, together
+
+    def reading(source: Any, solvers: list[Solver]) -> Working[ReadResult]:
+        started = time.perf_counter()
+        try:
+            with ExitStack() as stack:
+                recording, path = open_source(source, opening, stack)
+                return (yield from reading_codes(recording, path, solvers, started))
+        except Exception as error:
+            return _failed(source, error)
+
+    try:
+        with kept.used(), solvers_for(1, config, backend=backend, device=device) as solvers:
+            return answer(together(reading(source, solvers) for source in sources), solvers[0])
+    except Exception as error:  # there is no solver
+        return [_failed(source, error) for source in sources]
+
+
+def _failed(source: Any, error: Exception) -> ReadResult:
+    """Make the result of a source with which something is wrong that must not end the others."""
+    if not isinstance(error, EvqrError):
+        _LOG.debug("%s", _name(source), exc_info=True)  # a result has no room for where it happened
+    return failed(_name(source), error)
 
 
 def failed(name: str, error: Exception) -> ReadResult:

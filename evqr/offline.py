@@ -5,7 +5,7 @@ from __future__ import annotations
 import time
 from collections import deque
 from collections.abc import Callable, Iterator, Sequence
-from concurrent.futures import Future, ThreadPoolExecutor
+from concurrent.futures import Executor, Future, ThreadPoolExecutor
 from contextlib import ExitStack
 from dataclasses import dataclass, replace
 from queue import SimpleQueue
@@ -113,16 +113,51 @@ def read_codes(
         An argument is of the wrong type, or makes no sense.
     """
     check_names("read_codes", opening)
-    started = time.perf_counter()
+    clock, started = StageClock(), time.perf_counter()
     with ExitStack() as stack:
-        recording, path = _open(source, opening, stack)
-        clock = StageClock()
+        recording, path = open_source(source, opening, stack)
         with clock(ONE_TIME):
             solvers, pool = _solvers(threads, stack, config=config, backend=backend, device=device)
-        scheduler = StreamScheduler(solvers, recording.width, recording.height, pool=pool)
-        codes = _Codes(solvers[0].config.align.good_score)
-        for record in _records(scheduler, recording, progress):
-            codes.take(record)
+        reading = reading_codes(recording, path, solvers, started, pool=pool, progress=progress, clock=clock)
+        return answer(reading, solvers[0])
+
+
+def reading_codes(
+    recording: Recording,
+    path: str,
+    solvers: list[Solver],
+    started: float,
+    *,
+    pool: Executor | None = None,
+    progress: Progress | None = None,
+    clock: StageClock | None = None,
+) -> Working[ReadResult]:
+    """Read every code that passes; with `together`, in several recordings side by side.
+
+    Parameters
+    ----------
+    recording : Recording
+        What is read.
+    path : str
+        Where it is from, for the result.
+    solvers, pool : as for `StreamScheduler`
+        Their settings count; the work is left to who runs this, but for searches on other threads.
+    started : float [s]
+        When reading began, of `time.perf_counter`.
+    progress : callable, optional
+        As for `read_codes`.
+    clock : StageClock, optional
+        With what it took to get here.
+
+    Returns
+    -------
+    result : ReadResult
+        As of `read_codes`; what is done side by side is shared out, but for the total time.
+    """
+    clock = clock or StageClock()
+    scheduler = StreamScheduler(solvers, recording.width, recording.height, pool=pool)
+    codes = _Codes(solvers[0].config.align.good_score)
+    yield from _pushing(recording, scheduler, codes, progress)
     clock.add(scheduler.timings_ms)
     readings = tuple(sorted(codes.readings.values(), key=lambda reading: reading.t_read_us))
     reason, reason_code = ("", None) if readings else codes.why_nothing()
@@ -149,8 +184,12 @@ class _Codes:
         self._nearest = NotFound(Reason.NO_EVENTS, closest=-1.0)
         self._moving: tuple[float, Motion] | None = None
 
-    def take(self, record: StreamRecord) -> None:
-        """Add a record."""
+    def take(self, records: Sequence[StreamRecord]) -> None:
+        """Add records."""
+        for record in records:
+            self._take(record)
+
+    def _take(self, record: StreamRecord) -> None:
         if isinstance(record, CodeRead):
             self.readings[record.code] = record.reading
         elif isinstance(record, CodeLeft):
@@ -213,10 +252,10 @@ def _score(record: CodeUnread) -> float:
     return record.mean_score
 
 
-def _records(
-    scheduler: StreamScheduler, recording: Recording, progress: Progress | None
-) -> Iterator[StreamRecord]:
-    """Push a recording through a scheduler."""
+def _pushing(
+    recording: Recording, scheduler: StreamScheduler, codes: _Codes, progress: Progress | None
+) -> Working[None]:
+    """Push a recording through a scheduler, and take its records."""
     for chunk in recording.chunks():
         if scheduler.finished:
             break
@@ -224,14 +263,15 @@ def _records(
         if progress is not None:
             start, end = int(chunk.t[0]), int(chunk.t[-1])
             for until in range(start, end, max(PROGRESS_US, (end - start) // 100)):
-                yield from scheduler.step(until)
+                codes.take((yield from scheduler.stepping(until)))
                 _tell(progress, until, recording)
-        yield from scheduler.step()
+        codes.take((yield from scheduler.stepping()))
         _tell(progress, int(chunk.t[-1]), recording)
-    yield from scheduler.close()
+    codes.take((yield from scheduler.closing()))
 
 
-def _open(source: Any, opening: RecordingOptions, stack: ExitStack) -> tuple[Recording, str]:
+def open_source(source: Any, opening: RecordingOptions, stack: ExitStack) -> tuple[Recording, str]:
+    """Open what is to be read, until the stack is closed, and say where it is from."""
     if isinstance(source, Recording):
         if opening:
             raise TypeError(f"a Recording is open already: pass {', '.join(opening)} to open_recording")
@@ -276,7 +316,7 @@ def read_windows(
     """
     check_names("read_windows", opening)
     with ExitStack() as stack:
-        recording, _ = _open(source, opening, stack)
+        recording, _ = open_source(source, opening, stack)
         solvers, pool = _solvers(threads, stack, config=config, backend=backend, device=device)
         feed = _Feed(recording, solvers[0].config)
         events, most = feed.events, solvers[0].config.max_windows

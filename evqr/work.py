@@ -9,7 +9,7 @@ Answers do not depend on what they are computed beside, so neither does what any
 
 from __future__ import annotations
 
-from collections.abc import Generator, Iterable, Sequence
+from collections.abc import Callable, Generator, Iterable, Sequence
 from typing import Any, NamedTuple, TypeAlias, TypeVar
 
 import numpy as np
@@ -198,27 +198,33 @@ def together(workings: Iterable[Working[T]]) -> Working[list[T]]:
     Returns
     -------
     answers : list
-        What each returns, in their order.
+        What each returns, in their order.  Where work fails, all who asked for it are told, by the exception.
     """
     workings = list(workings)
     answers: list[Any] = [None] * len(workings)
     asked: dict[int, list[Work]] = {}
 
-    def go_on(k: int, answer: Any) -> None:
+    def go_on(k: int, proceed: Callable[[Any], list[Work]], answer: Any) -> None:
         try:
-            asked[k] = workings[k].send(answer)
+            asked[k] = proceed(answer)
         except StopIteration as end:
             answers[k] = end.value
 
-    for k in range(len(workings)):
-        go_on(k, None)
+    for k, working in enumerate(workings):
+        go_on(k, working.send, None)
     while asked:
         first = min(_kind(works) for works in asked.values())
-        now = [(k, works) for k, works in asked.items() if _kind(works) == first]
-        done = iter((yield [work for _, works in now for work in works]))
-        for k, works in now:
+        now = [(k, works) for k, works in sorted(asked.items()) if _kind(works) == first]
+        for k, _ in now:
             del asked[k]
-            go_on(k, [next(done) for _ in works])
+        try:
+            done = iter((yield [work for _, works in now for work in works]))
+        except Exception as error:  # all who asked may say what that means to them
+            for k, _ in now:
+                go_on(k, workings[k].throw, error)
+            continue
+        for k, works in now:
+            go_on(k, workings[k].send, [next(done) for _ in works])
     return answers
 
 
@@ -242,10 +248,15 @@ def answer(working: Working[T], solver: Solver) -> T:
     answer : any
         What the generator returns.
     """
-    done: Any = None
     try:
+        works = next(working)
         while True:
-            done = do(working.send(done), solver)
+            try:
+                done = do(works, solver)
+            except Exception as error:
+                works = working.throw(error)
+            else:
+                works = working.send(done)
     except StopIteration as end:
         return end.value
 

@@ -9,12 +9,15 @@ from concurrent.futures import ProcessPoolExecutor, ThreadPoolExecutor
 
 import pytest
 import sample_results
+from scenes import noise, scene
 
 from evqr.config import ReadConfig
 from evqr.demo import demo_recording
 from evqr.errors import RecordingError
 from evqr.many import read_many
+from evqr.offline import read_codes
 from evqr.results import ReadResult, ReadStatus
+from evqr.solver import Solver
 from evqr.solvers import solvers_for
 
 
@@ -176,3 +179,65 @@ def test_a_kept_solver_reads_to_the_bit_what_a_new_one_reads():
         (alone,) = read_many([path], config=ReadConfig(max_windows=2))
         one, other = read_many([path, path], config=ReadConfig(max_windows=2))
     assert alone.readings and alone.readings == one.readings == other.readings
+
+
+@pytest.fixture
+def three_at_once(monkeypatch):
+    monkeypatch.setattr("evqr.many._at_once", lambda device, threads: 3)
+
+
+def test_recordings_side_by_side_are_what_each_is_alone(three_at_once, monkeypatch, tmp_path):
+    """As on a device; one cannot be opened, one has no code, and one waits until there is room."""
+    searched, find = [], Solver.find
+
+    def counting(self, batch, motions, **more):
+        searched.append(len(batch))
+        return find(self, batch, motions, **more)
+
+    sources = [
+        scene().events,
+        str(tmp_path / "missing.h5"),
+        noise(20_000, 5_000),
+        scene(version=1, module_px=4.0, direction=30.0).events,
+    ]
+    one_by_one = [read_codes(sources[k]) for k in (0, 2, 3)]
+    monkeypatch.setattr(Solver, "find", counting)
+    first, missing, second, third = read_many(iter(sources))
+    assert searched and missing.status is ReadStatus.ERROR and "missing.h5" in missing.reason
+    for ours, alone in zip((first, second, third), one_by_one, strict=True):
+        assert (ours.status, ours.reason_code) == (alone.status, alone.reason_code)
+        assert ours.seen == alone.seen
+        for one, other in zip(ours.readings, alone.readings, strict=True):
+            assert (one.text, one.t_read_us, one.t_last_us) == (other.text, other.t_read_us, other.t_last_us)
+    assert [first.status, second.status, third.status] == [
+        ReadStatus.READ,
+        ReadStatus.NO_READ,
+        ReadStatus.READ,
+    ]
+
+
+def test_recordings_side_by_side_share_their_batches(three_at_once, monkeypatch):
+    followed, follow = [], Solver.follow
+
+    def counting(self, batch, detections):
+        followed.append(len(batch))
+        return follow(self, batch, detections)
+
+    monkeypatch.setattr(Solver, "follow", counting)
+    events = scene().events
+    results = list(read_many([events] * 3))
+    assert [result.readings[0].text for result in results] == ["EVQR-07"] * 3
+    assert set(followed) == {3}
+
+
+def test_what_fails_for_all_at_once_is_an_error_of_each(three_at_once, monkeypatch):
+    def broken(*_, **__):
+        raise RuntimeError("out of memory")
+
+    monkeypatch.setattr(Solver, "find", broken)
+    events = scene().events
+    assert (
+        outcomes(read_many([events, events])) == [("", ReadStatus.ERROR, "RuntimeError: out of memory")] * 2
+    )
+    no_backend = list(read_many([events, events], backend="no such"))
+    assert [(r.status, "no such" in r.reason) for r in no_backend] == [(ReadStatus.ERROR, True)] * 2

@@ -68,6 +68,29 @@ def test_groups_are_put_together_too():
     assert answers == [[[["A"]], [["B"]]], [[["C"]], [["D"]]]]
 
 
+def test_who_asked_for_work_that_failed_is_told():
+    """One of them makes do without, one does not, and one had not asked."""
+
+    def careful():
+        try:
+            yield works(Find, "a")
+        except ZeroDivisionError:
+            return (yield works(Solve, "b"))
+
+    working = together([careful(), asking(works(Solve, "c"))])
+    assert next(working)[0].window == "a"
+    asked = working.throw(ZeroDivisionError())
+    assert [work.equations for work in asked] == ["b", "c"]
+    with pytest.raises(StopIteration) as end:
+        working.send(["B", "C"])
+    assert end.value.value == [["B"], [["C"]]]
+
+    working = together([careful(), asking(works(Find, "c"))])
+    next(working)
+    with pytest.raises(ZeroDivisionError):
+        working.throw(ZeroDivisionError())
+
+
 def test_nobody_and_nothing_to_do_are_no_special_cases():
     assert served(together([])) == ([], [])
     assert served(together([asking([]), asking(works(Solve, "a"))]))[1] == [[[]], [["A"]]]
