@@ -3,8 +3,10 @@
 from __future__ import annotations
 
 import dataclasses
+import functools
 import io
 import json
+import operator
 import sys
 
 import pytest
@@ -12,6 +14,7 @@ import sample_results
 from test_cli import compiled_kernels, reads, recording, run
 
 from evqr.recording import open_recording
+from evqr.symbol.payload import StructuredAppend
 from evqr_kernels.extras import install_command
 
 __all__ = ["compiled_kernels", "reads", "recording"]  # fixtures
@@ -64,6 +67,37 @@ def test_text_alone_and_results_to_a_file(capsys, reads, recording, tmp_path):
     assert [json.loads(line)["text"] for line in output.read_text().splitlines()] == ["a\nb", "c"]
     reads(sample_results.no_read_result())
     assert run(capsys, "read", recording, "--text")[:2] == (1, [])
+
+
+def test_messages_are_joined_over_recordings_in_any_order(capsys, reads, tmp_path, monkeypatch):
+    reads(None)
+    texts = ("one ", "two ", "three")
+    parity = functools.reduce(operator.xor, "".join(texts).encode())
+    given = {}
+    for index, text in enumerate(texts):
+        path = sample_results.recording(tmp_path / f"{index}.h5")
+        append = StructuredAppend(index=index, count=3, parity=parity)
+        part = dict(text=text, data=text.encode(), structured_append=append, symbology_identifier="]Q1")
+        given[str(path)] = sample_results.read_result(sample_results.reading(**part))
+    given["alone"] = sample_results.read_result()
+    monkeypatch.setattr("evqr.offline.read_codes", lambda source, **_: given[str(source)])
+    first, second, third, alone = given
+
+    status, out, err = run(capsys, "read", third, first, alone, second, "--messages", "--text")
+    assert (status, out, err) == (0, ["LOT 42", "one two three"], [])
+    _, out, _ = run(capsys, "read", third, first, second, "--messages", "--json")
+    assert len(out) == 4
+    record = json.loads(out[-1])
+    assert (record["recording"], record["status"], record["text"]) == (None, "message", "one two three")
+    assert record["recordings"] == [first, second, third]
+    _, out, _ = run(capsys, "read", third, first, second, "--messages")
+    assert (
+        out[-1] == f"message of 3 parts, parity {parity}: 'one two three' (from {first}, {second}, {third})"
+    )
+    status, out, err = run(capsys, "read", third, first, "--messages", "--text")
+    assert (status, out) == (0, [])
+    assert err == [f"evqr: message of 3 parts, parity {parity}: 2 passed, missing: 2"]
+    assert run(capsys, "read", first, "--messages", "--each-window")[0] == 2
 
 
 def test_quiet_leaves_results_and_errors(capsys, reads, recording, monkeypatch):

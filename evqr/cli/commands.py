@@ -161,6 +161,9 @@ def convert(recording: Path, output: Path, opening: RecordingOptions, force: boo
 @click.option("--eci", type=click.IntRange(0, 999_999), metavar="N", help="ECI designator, as 26 for UTF-8.")
 @click.option("--charset", metavar="NAME", help="Character set of the text, as utf-8; default: of the ECI.")
 @click.option("--append", is_flag=True, help="The texts are parts of one message (structured append).")
+@click.option(
+    "--application", metavar="AI", help="Application indicator, two digits or a letter (FNC1 second)."
+)
 @click.option("--no-code", is_flag=True, help="Print things that look a little like a code, but no code.")
 @click.option(
     "--sensor", type=SizeType(), metavar="WxH", default="640x480", show_default=True, help="Sensor size."
@@ -193,6 +196,7 @@ def simulate(
     eci: int | None,
     charset: str | None,
     append: bool,
+    application: str | None,
     no_code: bool,
     sensor: tuple[int, int],
     duration_us: int | None,
@@ -233,6 +237,7 @@ def simulate(
             eci=eci,
             charset=charset,
             append=append,
+            application=application,
             code=not no_code,
             width=sensor[0],
             height=sensor[1],

@@ -45,6 +45,11 @@ if TYPE_CHECKING:
 )
 @click.option("--quiet", is_flag=True, help="No notes, warnings and progress; errors are told.")
 @recording_options
+@click.option(
+    "--messages",
+    is_flag=True,
+    help="Join parts of messages over all recordings; with --text, messages stand in place of their parts.",
+)
 @click.option("--each-window", is_flag=True, help="Read windows one by one, each from cold, a line each.")
 @config_options
 @backend_options
@@ -62,6 +67,7 @@ def read(
     output: Path | None,
     quiet: bool,
     opening: RecordingOptions,
+    messages: bool,
     each_window: bool,
     config: ReadConfig,
     backend: str,
@@ -82,13 +88,15 @@ def read(
         raise UsageError("--json and --text are two forms of the same: leave out one")
     if each_window and picture:
         raise UsageError("--picture draws a reading of the whole recording: leave out --each-window")
+    if each_window and messages:
+        raise UsageError("--messages joins readings of whole recordings: leave out --each-window")
     if each_window and jobs > 1:
         raise UsageError("--jobs reads whole recordings at a time: leave out --each-window")
     form: Form = "json" if as_json else "text" if as_text else "report"
     compute = {"config": config, "backend": backend, "device": device, "threads": threads}
     with (
         recordings_of(sources) as recordings,
-        Sink(form, _other_file(output, recordings)) as sink,
+        Sink(form, _other_file(output, recordings), messages=messages) as sink,
         workers(jobs) as pool,
     ):
         try:
@@ -106,7 +114,21 @@ def read(
             results.append(result)
             if pictures is not None:
                 pictures.draw(named, result, opening)
+        if messages:
+            _tell_messages([named.name for named in recordings], results, sink)
     return exit_status((result.status, result.reason_code) for result in results)
+
+
+def _tell_messages(names: Sequence[str], results: Sequence[ReadResult], sink: Sink) -> None:
+    """Join what all recordings gave, with the names of those that each message is from."""
+    from evqr.symbol.messages import join_messages
+
+    readings = [
+        (reading, name) for name, result in zip(names, results, strict=True) for reading in result.readings
+    ]
+    name_of = {id(reading): name for reading, name in readings}
+    for message in join_messages(reading for reading, _ in readings):
+        sink.message(message, [name_of[id(part)] for part in message.parts])
 
 
 def _other_file(output: Path | None, recordings: Sequence[Named]) -> Path | None:

@@ -14,6 +14,7 @@ from evqr.errors import EvqrError, UsageError
 from evqr.output import records
 from evqr.reason import Reason
 from evqr.results import ReadResult, ReadStatus, WindowReading
+from evqr.symbol.messages import Message
 from evqr.values import json_line
 
 Form = Literal["report", "json", "text"]
@@ -29,10 +30,13 @@ class Sink:
         a line.
     output : path, optional
         The file; default: standard output.
+    messages : bool
+        Whether messages are written, so that texts of their parts alone are not.
     """
 
-    def __init__(self, form: Form, output: Path | None) -> None:
+    def __init__(self, form: Form, output: Path | None, *, messages: bool = False) -> None:
         self.form = form
+        self._messages = messages
         self._output = output
         self._file: IO[str] | None = None
         self._heading: str | None = None
@@ -62,10 +66,22 @@ class Sink:
                 self._record(source, record)
         elif self.form == "text":
             for reading in result.readings:
-                self._line(records.payload_text(reading))
+                if not (self._messages and reading.structured_append):
+                    self._line(records.payload_text(reading))
         else:
             self._under(source, records.result_text(result))
         self.warn(source, warnings_of(result))
+
+    def message(self, message: Message, names: Sequence[str]) -> None:
+        """Write a message; the names are those of the recordings that its parts are from."""
+        if self.form == "json":
+            self._line(json_line(records.message_record(message, names)))
+        elif self.form == "report":
+            self._line(f"{records.message_text(message)} (from {', '.join(dict.fromkeys(names))})")
+        elif message.text is not None:
+            self._line(records.printable(message.text))
+        else:
+            note(str(message))
 
     def window(self, source: Named, window: WindowReading) -> None:
         """Write what a window gave."""

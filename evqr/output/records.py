@@ -82,6 +82,11 @@ def payload_text(payload: Payload) -> str:
     return printable(payload.text)
 
 
+def message_record(message: Message, names: Sequence[str]) -> dict[str, Any]:
+    """Give the record of a message, with the names of the recordings that its parts are from, in order."""
+    return {"recording": None, "status": "message", "recordings": list(names), **message.to_dict()}
+
+
 def message_text(message: Message) -> str:
     """Describe a message of several codes in one line."""
     return printable(str(message))

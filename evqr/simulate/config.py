@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import re
 from collections.abc import Mapping
 from dataclasses import dataclass
 from types import MappingProxyType
@@ -64,6 +65,9 @@ class CodePlacement:
         ISO 8859-1, Shift JIS and UTF-8 that has the text. With "latin-1" a text can be any bytes.
     append : StructuredAppend, optional
         Which part of a message it is (QR codes only).
+    application : str, optional
+        Application indicator of AIM, two digits or a letter, which stands before the text: FNC1 in second
+        position (QR codes only).
     """
 
     text: str
@@ -79,6 +83,7 @@ class CodePlacement:
     eci: int | None = None
     charset: str | None = None
     append: StructuredAppend | None = None
+    application: str | None = None
 
     def __post_init__(self):
         _require(bool(self.text), "text", self.text, "at least one character")
@@ -100,6 +105,7 @@ class CodePlacement:
 
     def _check_content(self, symbology: Symbology) -> None:
         beside = {"gs1": self.gs1 or None, "eci": self.eci, "append": self.append}
+        beside["application"] = self.application
         if symbology is not Symbology.QR_CODE:
             for name, value in beside.items():
                 _require(value is None, name, value, f"left out: {symbology} has none")
@@ -110,6 +116,10 @@ class CodePlacement:
             _require(2 <= self.append.count <= 16, "append", self.append, "of 2 to 16 parts")
             _require(0 <= self.append.index < self.append.count, "append", self.append, "one of its parts")
             _require(0 <= self.append.parity <= 255, "append", self.append, "of a parity from 0 to 255")
+        if self.application is not None:
+            known = re.fullmatch(r"[0-9]{2}|[A-Za-z]", self.application)
+            _require(known is not None, "application", self.application, "two digits or a letter")
+            _require(not self.gs1, "application", self.application, "left out with gs1")
         if self.gs1:
             object.__setattr__(self, "text", gs1_message(self.text))
         try:

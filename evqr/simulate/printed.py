@@ -70,7 +70,8 @@ def _by_segno(p: CodePlacement) -> PrintedSymbol:
     micro = symbology is Symbology.MICRO_QR_CODE
     level = None if p.version == "M1" else p.ec  # which has none
     try:
-        if p.gs1 or p.append is not None or (not micro and (p.eci is not None or p.charset is not None)):
+        more = p.gs1 or p.append is not None or p.application is not None
+        if more or (not micro and (p.eci is not None or p.charset is not None)):
             code = write_qr(
                 p.text,
                 version=None if p.version is None else int(p.version),
@@ -80,6 +81,7 @@ def _by_segno(p: CodePlacement) -> PrintedSymbol:
                 eci=p.eci,
                 charset=p.charset,
                 append=p.append,
+                application=p.application,
             )
         else:
             code = segno.make(

@@ -1,4 +1,4 @@
-"""QR codes that say more than characters: FNC1 of GS1, any ECI, a part of a message.  segno writes the rest.
+"""QR codes that say more than characters: FNC1, any ECI, a part of a message.  segno writes the rest.
 
 Segments, padding, masks and modules are segno's; only the header before the segments is written here.
 """
@@ -16,7 +16,7 @@ from segno import consts, encoder
 from evqr.symbol.content import CHARSETS
 from evqr.symbol.gs1 import SEPARATOR
 from evqr.symbol.payload import StructuredAppend
-from evqr.symbol.qr_segments import FNC1_FIRST
+from evqr.symbol.qr_segments import FNC1_FIRST, FNC1_SECOND
 
 FIXED_LENGTH = re.compile(r"0[0-4]|1[1-9]|20|3[1-6]|41")
 """How application identifiers begin whose elements need no separator (GS1 General Specifications, 7.8.5)."""
@@ -66,6 +66,7 @@ def write_qr(
     eci: int | None,
     charset: str | None,
     append: StructuredAppend | None,
+    application: str | None = None,
 ) -> segno.QRCode:
     """Encode a text with what is to be said beside it.
 
@@ -83,6 +84,8 @@ def write_qr(
         Of the bytes; default: that of the ECI, or segno's choice.
     append : StructuredAppend, optional
         Which part of a message it is.
+    application : str, optional
+        Application indicator, two digits or a letter: FNC1 in second position.
 
     Returns
     -------
@@ -114,7 +117,10 @@ def write_qr(
                 break
     if gs1:
         header.append_bits(FNC1_FIRST, 4)
-    segments = _segments(text, charset_of(charset, eci), gs1)
+    if application is not None:
+        header.append_bits(FNC1_SECOND, 4)
+        header.append_bits(int(application) if application.isdecimal() else ord(application) + 100, 8)
+    segments = _segments(text, charset_of(charset, eci), gs1 or application is not None)
     error = consts.ERROR_MAPPING[level]
     for size in range(1, 41) if version is None else [version]:
         capacity = consts.SYMBOL_CAPACITY[size][error]
@@ -123,8 +129,8 @@ def write_qr(
     raise segno.DataOverflowError("the data does not fit")
 
 
-def _segments(text: str, charset: str | None, gs1: bool) -> encoder.Segments:
-    if gs1:  # in the alphanumeric mode "%" is the separator and "%%" is "%"
+def _segments(text: str, charset: str | None, fnc1: bool) -> encoder.Segments:
+    if fnc1:  # in the alphanumeric mode "%" is the separator and "%%" is "%"
         escaped = text.replace("%", "%%").replace(SEPARATOR, "%")
         if encoder.is_alphanumeric(escaped.encode()) and not text.isdecimal():
             return encoder.prepare_data(escaped, consts.MODE_ALPHANUMERIC, None)

@@ -66,6 +66,7 @@ def simulate(
     eci: int | None = None,
     charset: str | None = None,
     append: bool = False,
+    application: str | None = None,
     code: bool = True,
     codes: Sequence[CodePlacement] | None = None,
     duration_us: int | None = None,
@@ -86,6 +87,8 @@ def simulate(
         Of the codes.
     append : bool
         The codes are the parts of one message (structured append).
+    application : as in `CodePlacement`
+        Of the codes.
     direction, tilt, duration_us, start, width, height, seed : as in `SceneConfig`
         Of the scene.
     speed_px_ms : float [px/ms], optional
@@ -130,6 +133,7 @@ def simulate(
             gs1=gs1,
             eci=eci,
             charset=charset,
+            application=application,
         )
         placements = [replace(alike, text=each) for each in texts] if code else []
         codes = in_a_row(parts_of_a_message(placements) if append else placements, direction)

@@ -37,7 +37,7 @@ def truth_of(scene: SceneConfig, motion: Motion, symbols: list[PrintedSymbol]) -
         corners = transform(pose[:, None], code_corners(symbol))
         inside = (corners >= -0.5) & (corners <= np.array([scene.width, scene.height]) - 0.5)
         groups["truth" if index == 0 else f"truth{index + 1}"] = {
-            "payload": symbol.placement.text,
+            "payload": (symbol.placement.application or "") + symbol.placement.text,
             "symbology": space.symbology.value,
             "version": space.version,
             "rows": space.rows,

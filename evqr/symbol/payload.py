@@ -79,7 +79,9 @@ class Payload(Value):
     data : bytes
         The content, without ECI designators.
     symbology_identifier : str
-        Of ISO/IEC 15424: ]Q1 a QR code, ]Q3 one with FNC1 in first position (GS1), ]Q5 in second.
+        Of ISO/IEC 15424: ]Q1 a QR code, ]Q3 one with FNC1 in first position (GS1), ]Q5 in second (the text
+        begins with the application indicator then). ]Q2, ]Q4 and ]Q6, which say that designators are sent
+        with the bytes, are never given: `data` is without them.
     content_type : ContentType
         Kind of content.
     eci : tuple of int

@@ -43,6 +43,15 @@ KINDS = [
     ({"text": "abc", "eci": 123456}, b"abc", ContentType.UNKNOWN_ECI, CharsetSource.ECI),
     ({"text": GS1, "gs1": True}, b"010950600013435210LOT%7\x1d21X", ContentType.GS1, CharsetSource.MODE),
     ({"text": "(10)lot 7", "gs1": True}, b"10lot 7", ContentType.GS1, CharsetSource.GUESSED),
+    ({"text": "A%B", "application": "37"}, b"37A%B", ContentType.TEXT, CharsetSource.MODE),
+    ({"text": "lot 7", "application": "a"}, b"alot 7", ContentType.TEXT, CharsetSource.GUESSED),
+    ({"text": "hé", "application": "05", "eci": 26}, b"05h\xc3\xa9", ContentType.TEXT, CharsetSource.ECI),
+    (
+        {"text": GS1, "gs1": True, "eci": 26},
+        b"010950600013435210LOT%7\x1d21X",
+        ContentType.GS1,
+        CharsetSource.ECI,
+    ),
     (
         {"text": "né", "charset": "latin-1", "symbology": "MicroQRCode"},
         b"n\xe9",
@@ -62,12 +71,13 @@ KINDS = [
 def test_what_is_printed_is_what_is_decoded(options, data, kind, source):
     payload = grid_of(**options)
     assert (payload.data, payload.content_type, payload.charset_source) == (data, kind, source)
-    assert payload.text == CodePlacement(**options).text
-    assert payload.symbology_identifier == ("]Q3" if kind is ContentType.GS1 else "]Q1")
+    assert payload.text == options.get("application", "") + CodePlacement(**options).text
+    identifier = "]Q3" if kind is ContentType.GS1 else "]Q5" if "application" in options else "]Q1"
+    assert payload.symbology_identifier == identifier
     assert payload.eci == ((options["eci"],) if "eci" in options else ())
 
 
-@pytest.mark.parametrize(("options", "data", "kind", "source"), [*KINDS[1:5], *KINDS[6:8]])
+@pytest.mark.parametrize(("options", "data", "kind", "source"), [*KINDS[1:5], *KINDS[6:10]])
 def test_what_is_simulated_is_what_is_read(options, data, kind, source):
     made = scenes.scene(**{"version": None, "width": 240, "height": 200, "module_px": 4.0, **options})
     (reading,) = evqr.read_codes(made.events, threads=1).readings
@@ -132,6 +142,8 @@ def test_gs1_messages_are_written_with_the_separators_that_they_need():
             "gs1 is True, but must be left out: MicroQRCode has none",
         ),
         ({"eci": 26, "symbology": "MicroQRCode"}, "eci is 26, but must be left out"),
+        ({"application": "7"}, "application is '7', but must be two digits or a letter"),
+        ({"application": "07", "gs1": True}, "application is '07', but must be left out with gs1"),
         ({"eci": 1_000_000}, "eci is 1000000, but must be 0 to 999999"),
         ({"text": "漢", "charset": "latin-1"}, "charset 'latin-1' does not write '漢'"),
         ({"charset": "klingon"}, "charset 'klingon' does not write"),
