@@ -114,7 +114,7 @@ def check_call(
         checks.sizes.setdefault(letter, 1)
     (output, *others) = operation.outputs
     if out is not None and not others:
-        checks.floats("out", out, *output.shape)
+        (checks.ints if output.integer else checks.floats)("out", out, *output.shape)
     for setting in operation.settings:
         for letter in setting.letters:
             if given.get(setting.name) is None and letter not in checks.sizes:

@@ -1,8 +1,8 @@
 """What a framework with automatic differentiation must know of an operation: shapes, and its two directions.
 
-`evqr_kernels.torch` and `evqr_kernels.jax` make differentiable functions of the operations of the table that
-have an adjoint.  A rule allocates nothing: the framework makes all buffers, arrays of its own kind, and hands
-over views of them in the order of the operation's arguments.
+`evqr_kernels.torch` and `evqr_kernels.jax` make functions of operations of the table, differentiable where
+those have an adjoint.  A rule allocates nothing: the framework makes all buffers, arrays of its own kind, and
+hands over views of them in the order of the operation's arguments.
 """
 
 from __future__ import annotations
@@ -50,6 +50,11 @@ class Rule:
         return OPERATIONS[self.op]
 
     @property
+    def differentiable(self) -> bool:
+        """Whether it has an adjoint."""
+        return self.operation.adjoint is not None
+
+    @property
     def adjoint_operation(self) -> Operation:
         """Its adjoint."""
         assert self.operation.adjoint is not None
@@ -68,6 +73,8 @@ class Rule:
     @property
     def varied(self) -> tuple[str, ...]:
         """Inputs that the adjoint is in, in its order."""
+        if not self.differentiable:
+            return ()
         return tuple(adjoint_of(output) for output in self.adjoint_operation.outputs)
 
     @property
@@ -87,11 +94,13 @@ class Rule:
 
     def _check(self, arrays: Mapping[str, NDArray[Any]], shapes: Shapes, *, values: bool) -> None:
         check_call(self.operation, {**arrays, **dict(self.settings)}, values=values)
-        forward, backward = (
-            op.variant("warp", "cpu").tile for op in (self.operation, self.adjoint_operation)
-        )
-        scratch = *self.forward_scratch(shapes, forward), *self.adjoint_scratch(shapes, backward)
-        for shape in (self.output(shapes), *scratch):
+        made = [
+            self.output(shapes),
+            *self.forward_scratch(shapes, self.operation.variant("warp", "cpu").tile),
+        ]
+        if self.differentiable:
+            made += self.adjoint_scratch(shapes, self.adjoint_operation.variant("warp", "cpu").tile)
+        for shape in made:
             check_size(self.op, shape)
 
     def sizes(self, shapes: Shapes, tile: int) -> dict[str, Any]:
@@ -102,6 +111,11 @@ class Rule:
         """Give the shape of the output, from those of the inputs."""
         (output,) = self.operation.outputs
         return shape_of(output, self.sizes(shapes, 1))
+
+    @property
+    def counts(self) -> bool:
+        """Whether the output is of integers."""
+        return self.operation.outputs[0].integer
 
     def forward_scratch(self, shapes: Shapes, tile: int) -> list[Shape]:
         """Give the shapes of partial results; ``tile`` is the backend's for the operation."""
@@ -157,13 +171,14 @@ class Front:
         parameters = inspect.signature(getattr(ops, op)).parameters.values()
         kept = [p for p in parameters if p.name not in ("out", "backend", "device")]
         arrays = {a.name for a in self.operation.inputs}
+        sizes = {s.name for s in self.operation.parameters if s.letters}
         self.signature = inspect.Signature(
             [
                 p.replace(
                     annotation=p.annotation.replace("Floats", array).replace("Ints", array)
                     if p.name in arrays
-                    else p.annotation.removesuffix(" | None" * (p.name == "shape")),
-                    default=p.empty if p.name == "shape" else p.default,
+                    else p.annotation.removesuffix(" | None" * (p.name in sizes)),
+                    default=p.empty if p.name in sizes else p.default,
                 )
                 for p in kept
             ],
@@ -228,7 +243,15 @@ class Front:
         )
         (result,) = re.findall(r"^Returns\n-+\n(.*)", original, re.MULTILINE)
         rule = Rule(op, ())
-        *others, last = (f"``{name}``" for name in rule.inputs if name in (*rule.varied, *rule.added))
+        varied = [f"``{name}``" for name in rule.inputs if name in (*rule.varied, *rule.added)]
+        said = "Not differentiable."
+        if varied:
+            said = f"Differentiable in {' and '.join(filter(None, (', '.join(varied[:-1]), varied[-1])))}."
+        notes = (
+            f"The backward pass is `evqr_kernels.{self.operation.adjoint}`."
+            if varied
+            else "It has no adjoint."
+        )
         return f"""{original.partition(".")[0]}: `evqr_kernels.{op}`.
 
 Parameters
@@ -239,9 +262,9 @@ Parameters
 Returns
 -------
 {result}
-    A new one.  Differentiable in {" and ".join(filter(None, (", ".join(others), last)))}.
+    A new one.  {said}
 
 Notes
 -----
-The backward pass is `evqr_kernels.{self.operation.adjoint}`.
+{notes}
 """

@@ -41,10 +41,13 @@ __all__ = [
     "brightness_cost",
     "brightness_residual",
     "deposit_events",
+    "event_histogram",
     "lag_operator",
     "render_code",
     "sample_moments",
     "splat_events",
+    "time_surface",
+    "voxel_grid",
 ]
 
 _DTYPES = {"float32": wp.float32, "float64": wp.float64, "int32": wp.int32}
@@ -81,16 +84,18 @@ def _apply(rule: Rule, *arrays: jax.Array) -> jax.Array:
     rule.check(_shapes(rule, arrays), dtypes)
     if not any(isinstance(array, Tracer) for array in arrays) and _on_cpu():
         rule.check_host({name: np.asarray(a) for name, a in zip(rule.inputs, arrays, strict=True)})
-    return _differentiable(rule, *arrays)
+    return _differentiable(rule, *arrays) if rule.differentiable else _computed(rule, *arrays)
 
 
-@functools.partial(jax.custom_vjp, nondiff_argnums=(0,))
-def _differentiable(rule: Rule, *arrays: jax.Array) -> jax.Array:
+def _computed(rule: Rule, *arrays: jax.Array) -> jax.Array:
     sizes = _shapes(rule, arrays)
     scratch = rule.forward_scratch(sizes, _tile(rule.op))
     ranks = _ranks([*sizes.values()]), len(rule.output(sizes)), _ranks(scratch)
     call = _forward(rule, str(_floats(arrays).dtype), *ranks)
     return call(arrays, [rule.output(sizes), *scratch])[0]
+
+
+_differentiable = jax.custom_vjp(_computed, nondiff_argnums=(0,))
 
 
 def _with_inputs(rule: Rule, *arrays: jax.Array) -> tuple[jax.Array, tuple[jax.Array, ...]]:
@@ -157,9 +162,8 @@ def _forward(rule: Rule, dtype: str, input_ranks: Ranks, output_rank: int, scrat
             rule.check_host({name: array.numpy() for name, array in zip(rule.inputs, given, strict=True)})
         rule.forward(backend, given, results[1:], results[0])
 
-    return _Call(
-        run, _kinds(rule, dtype, input_ranks), [_kind(dtype, r) for r in (output_rank, *scratch_ranks)]
-    )
+    out = _kind("int32" if rule.counts else dtype, output_rank)
+    return _Call(run, _kinds(rule, dtype, input_ranks), [out, *(_kind(dtype, r) for r in scratch_ranks)])
 
 
 @functools.cache
@@ -210,7 +214,10 @@ def _floats(arrays: Sequence[jax.Array]) -> jax.Array:
 brightness_cost = _function("brightness_cost")
 brightness_residual = _function("brightness_residual")
 deposit_events = _function("deposit_events")
+event_histogram = _function("event_histogram")
 lag_operator = _function("lag_operator")
 render_code = _function("render_code")
 sample_moments = _function("sample_moments")
 splat_events = _function("splat_events")
+time_surface = _function("time_surface")
+voxel_grid = _function("voxel_grid")

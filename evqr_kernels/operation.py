@@ -431,9 +431,9 @@ def overwritten(name: str, *shape: Extent, **more: Any) -> Output:
     return Output(name=name, shape=shape, **more)
 
 
-def accumulated(name: str, *shape: Extent) -> Output:
+def accumulated(name: str, *shape: Extent, integer: bool = False) -> Output:
     """Declare an output that is added to."""
-    return Output(name=name, shape=shape, written=Written.ACCUMULATED)
+    return Output(name=name, shape=shape, written=Written.ACCUMULATED, integer=integer)
 
 
 def in_part(name: str, *shape: Extent, integer: bool = False) -> Output:

@@ -38,10 +38,13 @@ __all__ = [
     "brightness_cost",
     "brightness_residual",
     "deposit_events",
+    "event_histogram",
     "lag_operator",
     "render_code",
     "sample_moments",
     "splat_events",
+    "time_surface",
+    "voxel_grid",
 ]
 
 Tensor = torch.Tensor
@@ -86,25 +89,29 @@ def _apply(rule: Rule, *tensors: Tensor) -> Tensor:
         if not tensor.is_contiguous():
             raise ValueError(f"{name} must be contiguous, it is not copied: call {name}.contiguous()")
         if tensor.requires_grad and name not in (*rule.varied, *rule.added):
-            raise ValueError(
-                f"{name} must not require a gradient: {rule.op} has one in {', '.join(rule.varied)}"
-            )
+            has = f"one in {', '.join(rule.varied)}" if rule.differentiable else "none"
+            raise ValueError(f"{name} must not require a gradient: {rule.op} has {has}")
     if device.type == "cpu":
         rule.check_host({name: tensor.detach().numpy() for name, tensor in named.items()})
     else:
         rule.check(_shapes(rule, tensors), {name: _DTYPES[tensor.dtype] for name, tensor in named.items()})
-    return _Function.apply(rule, *tensors)
+    return _Function.apply(rule, *tensors) if rule.differentiable else _computed(rule, tensors)
+
+
+def _computed(rule: Rule, tensors: Sequence[Tensor]) -> Tensor:
+    sizes = _shapes(rule, tensors)
+    out = _empty(rule.output(sizes), tensors, integer=rule.counts)
+    tile = get_backend("warp").tile(rule.op, _place(out))
+    scratch = [_empty(shape, tensors) for shape in rule.forward_scratch(sizes, tile)]
+    with _stream(out.device):
+        rule.forward(get_backend("warp"), _views(tensors), _views(scratch), _view(out))
+    return out
 
 
 class _Function(torch.autograd.Function):
     @staticmethod
     def forward(ctx: Any, rule: Rule, *tensors: Tensor) -> Tensor:  # pyright: ignore[reportIncompatibleMethodOverride]
-        sizes = _shapes(rule, tensors)
-        out = _empty(rule.output(sizes), tensors)
-        tile = get_backend("warp").tile(rule.op, _place(out))
-        scratch = [_empty(shape, tensors) for shape in rule.forward_scratch(sizes, tile)]
-        with _stream(out.device):
-            rule.forward(get_backend("warp"), _views(tensors), _views(scratch), _view(out))
+        out = _computed(rule, tensors)
         ctx.rule = rule
         ctx.save_for_backward(*tensors)
         return out
@@ -129,9 +136,9 @@ def _shapes(rule: Rule, tensors: Sequence[Tensor]) -> dict[str, Shape]:
     return {name: tuple(tensor.shape) for name, tensor in zip(rule.inputs, tensors, strict=True)}
 
 
-def _empty(shape: Shape, like: Sequence[Tensor]) -> Tensor:
+def _empty(shape: Shape, like: Sequence[Tensor], *, integer: bool = False) -> Tensor:
     floats = next(tensor for tensor in like if tensor.is_floating_point())
-    return floats.new_empty(shape)
+    return floats.new_empty(shape, dtype=torch.int32 if integer else None)
 
 
 def _view(tensor: Tensor) -> wp.array:
@@ -162,7 +169,10 @@ def _stream(device: torch.device):
 brightness_cost = _function("brightness_cost")
 brightness_residual = _function("brightness_residual")
 deposit_events = _function("deposit_events")
+event_histogram = _function("event_histogram")
 lag_operator = _function("lag_operator")
 render_code = _function("render_code")
 sample_moments = _function("sample_moments")
 splat_events = _function("splat_events")
+time_surface = _function("time_surface")
+voxel_grid = _function("voxel_grid")

@@ -116,6 +116,12 @@ def _disc(s: Sizes) -> Work:
 WORK: dict[str, Callable[[Sizes], Work]] = {
     "bin_packed_events.bin_packed_events": _events,
     "deposit_packed_events.deposit_packed_events": _events,
+    "voxel_grid.voxel_grid": _events,
+    "voxel_grid_adjoint.voxel_grid_adjoint": lambda s: Work(0, 1, 6),
+    "time_surface.no_event": lambda s: Work(0, 1, 0),
+    "time_surface.last_times": _events,
+    "time_surface.decay_times": lambda s: Work(0, 1, 1),
+    "event_histogram.event_histogram": _events,
     "lag_operator.lag_rows": lambda s: Work(0, s.of("taps"), 10),
     "lag_operator.lag_columns": lambda s: Work(0, s.of("taps"), 10),
     "align_poses.align_poses": _alignment,
@@ -150,6 +156,9 @@ WORK: dict[str, Callable[[Sizes], Work]] = {
 ATOMICS: dict[str, Callable[[Sizes], float]] = {
     "bin_packed_events.bin_packed_events": lambda s: s.events * s.of("window_ptr", 0),
     "deposit_packed_events.deposit_packed_events": lambda s: 4 * s.events * s.of("window_ptr", 0),
+    "voxel_grid.voxel_grid": lambda s: 2 * s.events * s.of("span", 0),
+    "time_surface.last_times": lambda s: s.events * s.of("surface_out", 0),
+    "event_histogram.event_histogram": lambda s: s.events * s.of("counts_out", 0),
 }
 """Additions to memory of a launch."""
 

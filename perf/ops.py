@@ -19,6 +19,7 @@ SAMPLES_A_MODULE = 4
 PROFILE_MODULES = 5
 REACH = 4  # of the stencil of the code's normal equations
 COLUMNS = 20  # of the table of moments
+BINS = 5  # planes of a voxel grid
 TEMPLATE = 23  # pixels a side of a finder pattern's template
 
 
@@ -94,6 +95,33 @@ def deposit_events_adjoint(size: Size, rng, dtype) -> Problem:
     count, adj = len(events[0]), _image(size, rng, dtype, 2)
     inputs = [*events, *frame, adj]
     return problem("deposit_events_adjoint", inputs, count, 12 * count, "event")
+
+
+def _planes(size: Size, rng, dtype) -> list:
+    return [*_events(size, rng, dtype), np.tile(np.array([-5e-4, 5e-4], dtype), (size.batch, 1))]
+
+
+def voxel_grid(size: Size, rng, dtype) -> Problem:
+    inputs, shape = _planes(size, rng, dtype), (size.side, size.side)
+    return problem("voxel_grid", inputs, len(inputs[0]), 4 * len(inputs[0]), "event", bins=BINS, shape=shape)
+
+
+def voxel_grid_adjoint(size: Size, rng, dtype) -> Problem:
+    x, *others = _planes(size, rng, dtype)
+    inputs = [x, *others, _image(size, rng, dtype, BINS)]
+    return problem("voxel_grid_adjoint", inputs, len(x), 5 * len(x), "event")
+
+
+def time_surface(size: Size, rng, dtype) -> Problem:
+    x, *others = _events(size, rng, dtype)
+    inputs, shape = [x, *others, 1e-3], (size.side, size.side)
+    return problem("time_surface", inputs, len(x), 2 * len(x), "event", shape=shape)
+
+
+def event_histogram(size: Size, rng, dtype) -> Problem:
+    x, y, _, weight, window_ptr = _events(size, rng, dtype)
+    inputs, shape = [x, y, weight, window_ptr], (size.side, size.side)
+    return problem("event_histogram", inputs, len(x), 3 * len(x), "event", shape=shape)
 
 
 def _extent(size: Size) -> np.ndarray:
@@ -525,6 +553,10 @@ PROBLEMS: dict[str, Callable[..., Problem]] = {
         deposit_events_adjoint,
         bin_packed_events,
         deposit_packed_events,
+        voxel_grid,
+        voxel_grid_adjoint,
+        time_surface,
+        event_histogram,
         lag_operator,
         lag_operator_adjoint,
         render_code,

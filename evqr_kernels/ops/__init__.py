@@ -50,9 +50,10 @@ Backends and devices agree with each other to rounding.
 """
 
 # ruff: noqa: F403
-from evqr_kernels.ops import codes, events, images, normal, render
+from evqr_kernels.ops import codes, events, grids, images, normal, render
 from evqr_kernels.ops.codes import *
 from evqr_kernels.ops.events import *
+from evqr_kernels.ops.grids import *
 from evqr_kernels.ops.images import *
 from evqr_kernels.ops.normal import *
 from evqr_kernels.ops.render import *
@@ -60,6 +61,7 @@ from evqr_kernels.ops.render import *
 __all__: list[str] = []
 __all__ += codes.__all__
 __all__ += events.__all__
+__all__ += grids.__all__
 __all__ += images.__all__
 __all__ += normal.__all__
 __all__ += render.__all__

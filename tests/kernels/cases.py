@@ -169,6 +169,33 @@ def deposit_packed_events(rng, dtype):
     return call("deposit_packed_events", [*events, t_ref, motion, frame, extent], shape=(Y, X))
 
 
+def voxel_grid(rng, dtype, planes=5):
+    span = np.array([[-9e-4, 8e-4], [0, 1], [-1e-3, 1e-3]], dtype)
+    return call("voxel_grid", [*events(rng, dtype), span], bins=planes, shape=(Y, X))
+
+
+def voxel_grid_of_one_plane(rng, dtype):
+    return voxel_grid(rng, dtype, 1)
+
+
+def voxel_grid_adjoint(rng, dtype, planes=5):
+    inputs = [*voxel_grid(rng, dtype).inputs, rng.normal(size=(B, planes, Y, X)).astype(dtype)]
+    return call("voxel_grid_adjoint", inputs)
+
+
+def voxel_grid_of_one_plane_adjoint(rng, dtype):
+    return voxel_grid_adjoint(rng, dtype, 1)
+
+
+def time_surface(rng, dtype):
+    return call("time_surface", [*events(rng, dtype), 6e-4], shape=(Y, X))
+
+
+def event_histogram(rng, dtype):
+    x, y, _, weight, window_ptr = events(rng, dtype)
+    return call("event_histogram", [x, y, weight, window_ptr], shape=(Y, X))
+
+
 def lag_operator(rng, dtype):
     deposit = rng.normal(size=(B, 2, Y, X)).astype(dtype)
     angle = rng.uniform(0, 6, 3)
@@ -487,6 +514,12 @@ CALLS = [
     deposit_events_adjoint,
     bin_packed_events,
     deposit_packed_events,
+    voxel_grid,
+    voxel_grid_of_one_plane,
+    voxel_grid_adjoint,
+    voxel_grid_of_one_plane_adjoint,
+    time_surface,
+    event_histogram,
     lag_operator,
     lag_operator_adjoint,
     motion_correlation,

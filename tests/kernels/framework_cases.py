@@ -64,6 +64,12 @@ def deposit_events_in_a_frame(rng, dtype):
     return case
 
 
+def voxel_grid(rng, dtype):
+    names = ("x", "y", "t", "weight", "window_ptr", "span")
+    arrays = dict(zip(names, cases.voxel_grid(rng, dtype).inputs, strict=True))
+    return Case("voxel_grid", arrays, ("weight", "t"), {"bins": 5, "shape": SHAPE})
+
+
 def lag_operator(rng, dtype):
     names = ("deposit", "deposit_idx", "direction", "lag", "taps")
     arrays = dict(zip(names, cases.lag_operator(rng, dtype).inputs, strict=False))
@@ -123,6 +129,7 @@ CASES = [
     splat_events_lagging,
     deposit_events,
     deposit_events_in_a_frame,
+    voxel_grid,
     lag_operator,
     lag_operator_on_a_part,
     render_code,
@@ -133,6 +140,8 @@ CASES = [
     sample_moments,
     sample_moments_of_some,
 ]
+
+NOT_DIFFERENTIABLE = [cases.time_surface, cases.event_histogram]
 
 TOLERANCE = {np.float32: 2e-4, np.float64: 1e-11}
 """Relative to the largest value: sums of thousands of terms, in another order."""

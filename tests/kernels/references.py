@@ -69,6 +69,22 @@ def deposit_events(xp, x, y, t, weight, window_ptr, motion, frame=None, *, shape
     return xp.stack(images).reshape(-1, 2, *shape)
 
 
+def voxel_grid(xp, x, y, t, weight, window_ptr, span, *, bins, shape):
+    def at(places, size):
+        near = xp.floor(places + 0.5)[:, None] == xp.arange(size, dtype=x.dtype)[None]
+        return xp.where(near, xp.ones_like(places)[:, None], xp.zeros_like(places)[:, None])
+
+    grids = []
+    for (begin, end), (first, last) in zip(pairwise(window_ptr), span, strict=True):
+        part = slice(int(begin), int(end))
+        inside = (t[part] >= first) & (t[part] <= last)
+        place = (t[part] - first) / (last - first) * (bins - 1)
+        shares = hat(xp, xp.arange(bins, dtype=x.dtype)[None] - place[:, None])
+        pixels = at(y[part], shape[0]), at(x[part], shape[1])
+        grids.append(xp.einsum("e,ek,ey,ex->kyx", weight[part] * inside, shares, *pixels))
+    return xp.stack(grids)
+
+
 def lag_operator(xp, deposit, deposit_idx, direction, lag, taps, extent=None):
     reach = taps.shape[1] // 2
 

@@ -1,5 +1,6 @@
 """Differentiable JAX functions: in place, and with the gradients that JAX finds for the definitions."""
 
+import functools
 import re
 
 import numpy as np
@@ -15,6 +16,7 @@ import evqr_kernels.jax  # noqa: E402
 from .framework_cases import (  # noqa: E402
     BAD_CALLS,
     CASES,
+    NOT_DIFFERENTIABLE,
     assert_like,
     bad_arguments,
     brightness_residual,
@@ -56,6 +58,17 @@ def test_output_and_gradients_are_those_of_the_definition(make, dtype, rng):
         assert_like(out, expected, dtype)
         for name, adjoint in pull(adj)[0].items():
             assert_like(adjoint, expected_adjoints[name], dtype)
+
+
+@pytest.mark.parametrize("make", NOT_DIFFERENTIABLE, ids=lambda make: make.__name__)
+def test_what_has_no_gradient_is_that_of_the_checked_function(make, dtype, rng):
+    call = make(rng, dtype)
+    arrays = {n: jnp.asarray(v) for n, v in call.checked.items() if isinstance(v, np.ndarray)}
+    constants = {name: value for name, value in call.checked.items() if name not in arrays}
+    expected = getattr(evqr_kernels, call.op)(**call.checked)
+    function = functools.partial(getattr(evqr_kernels.jax, call.op), **constants)
+    for got in (function(**arrays), jax.jit(function)(**arrays)):
+        np.testing.assert_allclose(got, expected, rtol=1e-6)
 
 
 def test_no_copy_is_made(monkeypatch, rng):

@@ -23,6 +23,7 @@ def level(height, width):
 
 
 PTR = np.array([0, 4, E], np.int32)
+SPAN = np.array([[-1, 1], [-1, 2]], np.float32)
 RANGES = np.array([[0, 4], [2, E]], np.int32)
 SPANS = np.array([[0, 5]] * 5, np.int32)
 PACKED = np.zeros(E, np.uint16), np.zeros(E, np.uint16), np.arange(E, dtype=np.uint32)
@@ -34,6 +35,10 @@ GOOD = {
     "splat_events": ([f32(E), f32(E), f32(E), f32(E), PTR, f32(B, 2)], {"shape": (Y, X)}),
     "splat_events_adjoint": ([f32(E), f32(E), f32(E), f32(E), PTR, f32(B, 2), f32(B, Y, X)], {}),
     "deposit_events": ([f32(E), f32(E), f32(E), f32(E), PTR, f32(B, 2)], {"shape": (Y, X)}),
+    "voxel_grid": ([f32(E), f32(E), f32(E), f32(E), PTR, SPAN], {"bins": 3, "shape": (Y, X)}),
+    "time_surface": ([f32(E), f32(E), f32(E), f32(E), PTR], {"shape": (Y, X)}),
+    "event_histogram": ([f32(E), f32(E), f32(E), PTR], {"shape": (Y, X)}),
+    "voxel_grid_adjoint": ([f32(E), f32(E), f32(E), f32(E), PTR, SPAN, f32(B, 3, Y, X)], {}),
     "bin_packed_events": ([*PACKED, RANGES], {"shape": (Y, X)}),
     "deposit_packed_events": ([*PACKED, RANGES, np.zeros(B, np.int32), f32(B, 2)], {"shape": (Y, X)}),
     "lag_operator": ([f32(B, 2, Y, 21), np.zeros(3, np.int32), f32(3, 2), f32(3, 2), f32(2, 5)], {}),
@@ -292,6 +297,17 @@ BAD = [
     ),
     ("deposit_events", {"frame": f32(B, 3)}, ValueError, "frame must have a positive scale, got 0.0"),
     ("deposit_events", {"out": f32(B, Y, X)}, ValueError, "out must have shape (B, 2, Y, X), got (2, 9, 12)"),
+    ("voxel_grid", {"bins": 0}, ValueError, "bins must be at least 1, got 0"),
+    ("voxel_grid", {"bins": None}, TypeError, "bins of the image must be given when there is no out"),
+    (
+        "voxel_grid",
+        {"arg5": SPAN[:, ::-1].copy()},
+        ValueError,
+        "span must end after it begins, got 1.0 to -1.0",
+    ),
+    ("voxel_grid", {"arg5": SPAN * np.nan}, ValueError, "span must end after it begins, got nan to nan"),
+    ("event_histogram", {"out": f32(B, 2, Y, X)}, TypeError, "out must be int32, got float32"),
+    ("time_surface", {"decay": -1.0}, ValueError, "decay must be at least 0.0, got -1.0"),
     ("lag_operator", {"arg4": f32(2, 4)}, ValueError, "with K odd and at least 3, got (2, 4)"),
     ("lag_operator", {"arg4": f32(2, 1)}, ValueError, "with K odd and at least 3, got (2, 1)"),
     ("lag_operator", {"arg0": f32(0, 2, Y, 21)}, ValueError, "deposit_idx must have shape (0,)"),

@@ -20,6 +20,10 @@ OF_EVENTS = [
     cases.splat_events_adjoint,
     cases.deposit_events,
     cases.deposit_events_adjoint,
+    cases.voxel_grid,
+    cases.voxel_grid_adjoint,
+    cases.time_surface,
+    cases.event_histogram,
 ]
 INDICES = {"window_ptr", "deposit_idx", "image_idx", "extent"}
 GUARD = 1024
@@ -126,8 +130,9 @@ def test_a_system_that_is_not_finite_is_left_as_it_is(place, bad, placed, spec, 
 @pytest.mark.parametrize(
     "op",
     ["bin_events", "splat_events", "splat_events_adjoint", "deposit_events", "deposit_events_adjoint",
-     "bin_packed_events", "deposit_packed_events", "clip_outliers", "sample_moments",
-     "sample_moments_adjoint", "score_poses", "align_poses", "code_rhs", "brightness_cost"],
+     "voxel_grid", "voxel_grid_adjoint", "time_surface", "event_histogram", "bin_packed_events",
+     "deposit_packed_events", "clip_outliers", "sample_moments", "sample_moments_adjoint", "score_poses",
+     "align_poses", "code_rhs", "brightness_cost"],
 )  # fmt: skip
 def test_images_of_no_pixels(op, shape, name):
     """Sums over them are 0, and results that are images have none either."""

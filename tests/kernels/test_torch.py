@@ -13,6 +13,7 @@ from evqr_kernels.interop import warp_view  # noqa: E402
 from .framework_cases import (  # noqa: E402
     BAD_CALLS,
     CASES,
+    NOT_DIFFERENTIABLE,
     assert_like,
     bad_arguments,
     render_code,
@@ -26,7 +27,12 @@ INDICES = ("window_ptr", "deposit_idx", "image_idx", "active")
 def memory_without_a_value_is_nan(monkeypatch):
     """It is not 0 by luck."""
     empty = evqr_kernels.torch._empty
-    monkeypatch.setattr(evqr_kernels.torch, "_empty", lambda *given: empty(*given).fill_(torch.nan))
+
+    def marked(*given, **more):
+        made = empty(*given, **more)
+        return made.fill_(torch.nan if made.is_floating_point() else -1)
+
+    monkeypatch.setattr(evqr_kernels.torch, "_empty", marked)
 
 
 @pytest.fixture(params=["cpu", *(f"cuda:{k}" for k in range(torch.cuda.device_count()))])
@@ -60,6 +66,23 @@ def test_output_and_gradients_are_those_of_the_definition(make, device, dtype, r
     expected.backward(adj)
     for name in case.varied:
         assert_like(given[name].grad.cpu(), plain[name].grad.cpu(), dtype)
+
+
+@pytest.mark.parametrize("make", NOT_DIFFERENTIABLE, ids=lambda make: make.__name__)
+def test_what_has_no_gradient_is_that_of_the_checked_function(make, device, dtype, rng):
+    call = make(rng, dtype)
+    given = {
+        name: torch.from_numpy(value.copy()).to(device) if isinstance(value, np.ndarray) else value
+        for name, value in call.checked.items()
+    }
+    function = getattr(evqr_kernels.torch, call.op)
+    expected = getattr(evqr_kernels, call.op)(**call.checked)
+    got = function(**given)
+    assert got.device == given["x"].device
+    np.testing.assert_allclose(got.cpu(), expected, rtol=1e-6)
+    given["weight"].requires_grad_()
+    with pytest.raises(ValueError, match=f"weight must not require a gradient: {call.op} has none"):
+        function(**given)
 
 
 def test_backward_through_a_sum(device, rng):
