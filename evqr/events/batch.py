@@ -62,12 +62,14 @@ class EventBatch:
         ValueError
             If a window lasts longer than 31 bits of microseconds.
         """
-        refs: list[int] = []
         for window in windows:
             if window.end_us - window.start_us > LONGEST_US:
                 bounds = f"{window.start_us} us to {window.end_us} us"
                 raise ValueError(f"a window must last at most {LONGEST_US} us, got {bounds}")
-            refs.append(window.middle_us % (1 << 31))
+        t_ref_us = np.array([window.middle_us % (1 << 31) for window in windows], np.int32)
+        if len(windows) == 1:  # most often, and then this is a share of a followed window's time
+            events = windows[0].packed
+            return cls(tuple(windows), (events,), np.array([(0, len(events))], np.int32), t_ref_us)
         parts: list[PackedEvents] = []
         pointers = [(0, 0)] * len(windows)
         begin = 0
@@ -77,7 +79,7 @@ class EventBatch:
             begin += count
             parts += _parts(count, members, windows)
         window_ptr = np.array(pointers, np.int32).reshape(-1, 2)
-        return cls(tuple(windows), tuple(parts), window_ptr, np.array(refs, np.int32))
+        return cls(tuple(windows), tuple(parts), window_ptr, t_ref_us)
 
     def __len__(self) -> int:
         return len(self.windows)

@@ -206,18 +206,14 @@ class Solution(Step):
         for k, number in enumerate(numbers):
             if number != self._numbers[k]:
                 seen[k] = q[k] = 0.0
-        count, start = len(equations), self._tables.start
-        stencils = np.array([each.stencil for each in equations])
-        # one overall scale: float32 on the device, and many windows add up
-        peak = stencils[:, REACH, REACH].copy()
-        peak[peak == 0.0] = 1.0
-        scale = 1.0 / peak
-        np.multiply(stencils, scale[:, None, None], out=stencil[:count], casting="unsafe")
-        free = self._cfg.damping / (np.array(weights) * peak)
-        damping[:count] = np.minimum(np.maximum(free, least), most)
-        for k, (each, factor) in enumerate(zip(equations, scale.tolist(), strict=True)):
+        start = self._tables.start
+        for k, (each, weight) in enumerate(zip(equations, weights, strict=True)):
+            # one overall scale: float32 on the device, and many windows add up
+            peak = float(each.stencil[REACH, REACH]) or 1.0
             rows, columns = each.rhs.shape
-            seen[k, :rows, :columns] = each.rhs * factor
+            seen[k, :rows, :columns] = each.rhs * (1.0 / peak)
+            stencil[k] = each.stencil * (1.0 / peak)
+            damping[k] = min(max(self._cfg.damping / (weight * peak), least), most)
             q[k, :rows, :columns] = start[numbers[k]]
         self._numbers = numbers
         self._number.write(numbers)
