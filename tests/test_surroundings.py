@@ -2,12 +2,15 @@
 
 from __future__ import annotations
 
+import contextlib
 import io
 import json
 import os
+import shutil
 import signal
 import subprocess
 import sys
+import tempfile
 import time
 from pathlib import Path
 
@@ -16,7 +19,8 @@ import sample_results
 
 from evqr import main as cli
 from evqr.cli import options
-from evqr.errors import BackendError
+from evqr.errors import BackendError, RecordingError
+from evqr.recording import open_recording
 from evqr.recording.options import RecordingOptions
 
 POSIX = pytest.mark.skipif(sys.platform == "win32", reason="devices, signals and permissions of POSIX")
@@ -177,6 +181,81 @@ main()
     with python(code) as process:
         _, err = process.communicate(timeout=60)
     assert (process.returncode, err) == (130, "evqr: interrupted\n")
+
+
+@pytest.fixture
+def forbidden():
+    """A folder in which nothing may be read or written, but listed, by whoever runs within `nobody`."""
+    folder = Path(tempfile.mkdtemp(dir="/tmp"))
+    (folder / "out").mkdir()
+    for name in ("shut", "bag"):
+        (folder / name).mkdir()
+    (folder / "bag" / "metadata.yaml").write_text("version: 9")
+    for name in ("a.h5", "shut/a.h5"):
+        sample_results.recording(folder / name)
+    (folder / "a.txt").write_text("0 1 1 1\n" * 9)
+    for name, mode in (("a.h5", 0), ("a.txt", 0), ("shut", 0), ("bag", 0), ("out", 0o555), (".", 0o755)):
+        (folder / name).chmod(mode)
+    yield folder
+    for name in ("shut", "bag", "out"):
+        (folder / name).chmod(0o700)
+    shutil.rmtree(folder)
+
+
+@contextlib.contextmanager
+def nobody():
+    """As a user who is not root: root may read and write whatever the permissions."""
+    as_root = os.geteuid() == 0
+    if as_root:
+        os.seteuid(65534)
+    try:
+        yield
+    finally:
+        if as_root:
+            os.seteuid(0)
+
+
+@POSIX
+def test_what_may_not_be_read_or_written_is_one_line(capsys, forbidden, recording, reads, tmp_path):
+    reads(sample_results.read_result())
+    pytest.importorskip("matplotlib.backends.backend_agg")
+    readable = forbidden / "readable.h5"
+    readable.write_bytes(Path(recording).read_bytes())
+    # what is needed is imported by root: others may not be let into where Python is
+    run(capsys, "info", readable, "--picture", tmp_path / "seen.png")
+    run(capsys, "read", readable, "--picture", tmp_path / "read.png")
+    run(capsys, "convert", readable, tmp_path / "converted.npz")
+    run(capsys, "simulate", tmp_path / "nowhere" / "made.h5")
+    commands = [
+        ("info", "a.h5"), ("info", "a.txt"), ("info", "bag"), ("info", "shut/a.h5"),
+        ("convert", "a.h5", "x.npz"),
+        ("convert", "readable.h5", "out/x.npz"), ("convert", "readable.h5", "shut/x.npz"),
+        ("info", "readable.h5", "--picture", "out/x.png"), ("info", "readable.h5", "--picture", "shut/x.png"),
+        ("read", "readable.h5", "--output", "out/x"), ("read", "readable.h5", "--output", "shut/x"),
+        ("read", "readable.h5", "--picture", "out/pictures"), ("simulate", "shut/x.h5"),
+    ]  # fmt: skip
+    places = {"a.h5", "a.txt", "bag", "shut", "out", "readable.h5", "x.npz"}
+    for command in commands:
+        words = [forbidden / word if word.split("/")[0] in places else word for word in command]
+        with nobody():
+            status, _, err = run(capsys, *words)
+        assert (status, len(err)) == (2, 1), (command, err)
+        assert "Permission denied" in err[0] and str(forbidden) in err[0], err
+    for source in ("a.h5", "bag", "shut", "shut/a.h5", "shut/*.h5"):
+        with (
+            nobody(),
+            pytest.raises(RecordingError, match=r"cannot be read \(Permission denied\); check its perm"),
+        ):
+            open_recording(forbidden / source)
+
+
+@POSIX
+def test_what_may_not_be_read_stops_no_other(capsys, forbidden, reads):
+    with nobody():
+        status, out, err = run(capsys, "read", forbidden / "shut" / "a.h5", forbidden / "shut", "--json")
+    reasons = [json.loads(line)["reason"] for line in out]
+    assert status == 2 and err == [] and len(reasons) == 2
+    assert all("cannot be read (Permission denied); check its permissions" in reason for reason in reasons)
 
 
 @POSIX

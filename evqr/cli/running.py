@@ -75,6 +75,9 @@ def run_command(command: Callable[[], int], *, debug: bool = False) -> int:
     except KeyboardInterrupt:
         _say("evqr: interrupted")
         return INTERRUPTED
+    except PermissionError as error:
+        what = os.fsdecode(error.filename) if error.filename else "a file or folder"
+        return _refuse(f"{what}: cannot be used ({error.strerror or error}); check its permissions")
     except Exception as error:  # no fault of the user's
         return unexpected(error, debug=debug)
 

@@ -48,7 +48,14 @@ def recordings_of(sources: Sequence[str]) -> Iterator[list[Named]]:
         A folder or a pattern has none; standard input cannot be kept.
     """
     with _Input() as standard_input:
-        yield [named for source in sources for named in _meant(source, standard_input)]
+        yield [named for source in sources for named in _found(source, standard_input)]
+
+
+def _found(source: str, standard_input: _Input) -> list[Named]:
+    try:
+        return list(_meant(source, standard_input))
+    except OSError:  # it cannot be looked at: reading it says why, and goes on with the others
+        return [Named(source, Path(source))]
 
 
 def _meant(source: str, standard_input: _Input) -> Iterator[Named]:

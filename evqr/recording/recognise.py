@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
 from pathlib import Path
 
 from ..errors import RecordingError
@@ -49,7 +50,9 @@ def reader_of(path: str) -> Reader:
     RecordingError
         For what is no file with bytes in it, or of no format that is read.
     """
-    if bag := _ros2_bag(path):
+    with _looking_at(path):
+        bag = _ros2_bag(path)
+    if bag:
         from .rosbag import BagSource
 
         return lambda _, asked: BagSource(bag, asked)
@@ -82,6 +85,16 @@ def reader_of(path: str) -> Reader:
     return reader
 
 
+@contextmanager
+def _looking_at(path: str) -> Iterator[None]:
+    """Turn what the system says no to into an error of one line."""
+    try:
+        yield
+    except OSError as error:
+        problem = refusal(error) or f"cannot be read ({error.strerror or error})"
+        raise RecordingError(f"{path}: {problem}") from error
+
+
 def _ros2_bag(path: str) -> str | None:
     """Return what to open of a folder that is a ROS 2 bag: itself, or its one file without metadata."""
     place = Path(path)
@@ -96,7 +109,7 @@ def _ros2_bag(path: str) -> str | None:
 def _head(path: str) -> bytes:
     """First bytes of a file, with an error for whatever is no file with bytes in it."""
     place = Path(path)
-    try:
+    with _looking_at(path):
         if not place.exists():
             raise RecordingError(f"{path}: no such file; check the path")
         if place.is_dir():
@@ -107,9 +120,6 @@ def _head(path: str) -> bytes:
             )
         with open(path, "rb") as file:
             head = file.read(HEAD_BYTES)
-    except OSError as error:
-        problem = refusal(error) or f"cannot be read ({error.strerror or error})"
-        raise RecordingError(f"{path}: {problem}") from error
     if not head:
         raise RecordingError(f"{path}: the file is empty (0 bytes); copy or record it again")
     return head
