@@ -59,6 +59,25 @@ def test_version_is_that_of_the_distribution():
     assert evqr.__version__ == metadata.version("evqr")
 
 
+def test_the_kernels_need_numpy_and_warp_alone():
+    """What finds any other package is gone."""
+    code = """
+import importlib.abc, sys
+class Nothing(importlib.abc.MetaPathFinder):
+    def find_spec(self, name, path, target=None):
+        if name.partition('.')[0] not in {*sys.stdlib_module_names, 'numpy', 'warp', 'evqr_kernels'}:
+            raise ModuleNotFoundError(f'no module named {name!r} here', name=name)
+sys.meta_path.insert(0, Nothing())
+import numpy as np
+import evqr_kernels
+one, ptr = np.ones(3, np.float32), np.array([0, 3], np.int32)
+image = evqr_kernels.bin_events(one, one, one, ptr, shape=(3, 3), backend='warp')
+assert (image == evqr_kernels.bin_events(one, one, one, ptr, shape=(3, 3), backend='numpy')).all()
+print(evqr_kernels.__version__, image.sum())
+"""
+    assert python(code).split()[-2:] == [metadata.version("evqr"), "3.0"]
+
+
 @pytest.mark.parametrize("package", ["evqr", "evqr_kernels"])
 def test_packages_are_typed(package):
     assert (resources.files(package) / "py.typed").is_file()

@@ -42,6 +42,12 @@ SUBJECTS = {
 }
 """Where the names of a subject come from: the longest of these beginnings counts."""
 
+GROUPS = {
+    "Events and images": ("events", "grids", "images"),
+    "Planar codes": ("codes", "normal", "render"),
+}
+"""The operations for everyone, then those for readers of codes: modules of `evqr_kernels.ops`."""
+
 API_PAGES = {
     "python": Page(
         title="evqr in Python",
@@ -67,11 +73,13 @@ events with their truth, as `from evqr.simulate import simulate`, say. `evqr sim
 `evqr_kernels` knows nothing of codes: arrays in, arrays out, a slow plain NumPy specification beside fast
 backends in Warp and Taichi. Its functions check their arguments and may allocate; the methods of
 `get_backend(...)` with the same names write to buffers that you own, unchecked. Those that have an adjoint
-are differentiable functions in `evqr_kernels.torch` and `evqr_kernels.jax` too (extras `torch`, `jax`). A
+are differentiable functions in `evqr_kernels.torch` and `evqr_kernels.jax` too (extras `torch`, `jax`).
+Operations on events and images, for everyone, come first, those on planar codes after them. A
 tutorial is [A front end of your own](../tutorials/front-end.md). `help(evqr_kernels.ops)`, say, prints what
 stands here without the site.""",
         module="evqr_kernels",
         general=(
+            ("The package, and what of it stays", "evqr_kernels"),
             ("What holds for every operation", "evqr_kernels.ops"),
             ("In PyTorch", "evqr_kernels.torch"),
             ("In JAX", "evqr_kernels.jax"),
@@ -102,16 +110,10 @@ def names_of(page: Page) -> dict[str, list[str]]:
         return {subject: sorted(names) for subject, names in subjects.items()}
     found: dict[str, list[str]] = {}
     operations = list(ops.__all__) if module is evqr_kernels else []
-    for name in operations:
-        room = importlib.import_module(getattr(ops, name).__module__)
-        subject = (
-            (room.__doc__ or "")
-            .split("\n")[0]
-            .removeprefix("Checked functions ")
-            .removeprefix("that ")
-            .rstrip(".")
-        )
-        found.setdefault(subject[0].upper() + subject[1:], []).append(name)
+    for group, rooms in GROUPS.items() if operations else ():
+        for room in (importlib.import_module(f"evqr_kernels.ops.{name}") for name in rooms):
+            subject = (room.__doc__ or "").split("\n")[0].removeprefix("Checked functions ").rstrip(".")
+            found[f"{group}: {subject.removeprefix('that ')}"] = list(room.__all__)
     rest = "Backends and what they are asked" if operations else "Scenes, sensors, simulations"
     found[rest] = sorted(set(module.__all__) - set(operations))
     return found

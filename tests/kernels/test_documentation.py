@@ -157,6 +157,7 @@ def test_functions_of_a_framework(framework):
 
 CLASSES = [
     evqr_kernels.KernelBackend,
+    evqr_kernels.Columns,
     differentiable.Rule,
     *(kind for _, kind in inspect.getmembers(operation, inspect.isclass) if dataclasses.is_dataclass(kind)),
 ]
