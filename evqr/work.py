@@ -132,8 +132,9 @@ Activity: TypeAlias = "Generator[tuple[int, int] | list[Work], Any, T]"
 
 
 def moving_at(
-    start_us: int, solver: Solver, *, guess: Motion | None = None, quiet: QuietSpells | None = None
-) -> Activity[MotionEstimate | NotFound]:
+    start_us: int, solver: Solver, *, guess: Motion | None = None, quiet: QuietSpells | None = None,
+    since_us: int | None = None,
+) -> Activity[MotionEstimate | NotFound]:  # fmt: skip
     """Estimate the motion at a time of a stream.
 
     Parameters
@@ -144,13 +145,16 @@ def moving_at(
         Whose settings count.
     guess, quiet : as of `Solver.motion_at`
         The same.
+    since_us : int [us]
+        As of `motion_probes`: long windows may begin before.
 
     Returns
     -------
     found : MotionEstimate or NotFound
         With its timings.
     """
-    clock, probes = StageClock(), motion_probes(start_us, solver.config.motion, guess=guess, quiet=quiet)
+    clock, cfg = StageClock(), solver.config.motion
+    probes = motion_probes(start_us, cfg, guess=guess, quiet=quiet, since_us=since_us)
     answer: Any = None
     while True:
         try:

@@ -337,8 +337,9 @@ class Probe(NamedTuple):
 
 
 def motion_probes(
-    start_us: int, cfg: MotionConfig, *, guess: Motion | None = None, quiet: QuietSpells | None = None
-) -> Generator[Probe, MotionEstimate | Reason, MotionEstimate | Reason]:
+    start_us: int, cfg: MotionConfig, *, guess: Motion | None = None, quiet: QuietSpells | None = None,
+    since_us: int | None = None,
+) -> Generator[Probe, MotionEstimate | Reason, MotionEstimate | Reason]:  # fmt: skip
     """Say from which windows the motion at a time is estimated from cold: coarsely, then as suits the speed.
 
     Which windows it takes depends on what the ones before say, so it asks for them one by one.
@@ -346,13 +347,16 @@ def motion_probes(
     Parameters
     ----------
     start_us : int [us]
-        All windows begin here.
+        The shortest window begins here, and so does that of which the motion is.
     cfg : MotionConfig
         Settings.
     guess : Motion
         From an earlier window, for its speed; None: nothing known.
     quiet : QuietSpells
         Of earlier searches in the same stream: windows that it covers are left out. None: none are.
+    since_us : int [us]
+        Longer windows that tell the speed may begin before, but not before this, so that they end with the
+        shortest, and nothing is waited for where nothing moves. None: all begin at the same time.
 
     Returns
     -------
@@ -370,7 +374,10 @@ def motion_probes(
     for _ in range(MOST_PROBES if cold else 0):
         if not quiet.covers(start_us, length):
             # what is so fast that halves of the shortest window are far apart is no better seen in a longer
-            coarse = yield Probe(start_us, start_us + length, cfg.reduction, length == cfg.probe_us)
+            first_us = start_us
+            if since_us is not None:
+                first_us = min(max(since_us, start_us + cfg.probe_us - length), start_us)
+            coarse = yield Probe(first_us, first_us + length, cfg.reduction, length == cfg.probe_us)
             if coarse is Reason.NO_EVENTS:
                 return coarse
             if isinstance(coarse, MotionEstimate) and coarse.motion.travel_px(length) >= LEAST_TRAVEL_PX:

@@ -300,8 +300,8 @@ class StreamScheduler:
             self._finish(track)
 
     def _forget(self, before_us: int) -> None:
-        """Let go of what no activity may ask for: none goes back behind the start of its window."""
-        self._events.forget(before_us)
+        """Let go of what no activity may ask for: the search alone goes back, by its longest window."""
+        self._events.forget(before_us - self._config.motion.longest_us)
         self._known.forget(before_us)
         self._lost = [track for track in self._lost if track.detection.time_us > before_us]
 
@@ -390,10 +390,12 @@ class StreamScheduler:
     def _try(self, at_us: int, quiet: QuietSpells | None = None) -> Activity[_Try]:
         """Search once; may run on any thread and changes nothing here but ``quiet``."""
         clock, solver = StageClock(), self._solver
-        moving = yield from moving_at(at_us, solver, guess=self._motion, quiet=quiet)
+        moving = yield from moving_at(
+            at_us, solver, guess=self._motion, quiet=quiet, since_us=self._events.first_us
+        )
         clock.add(moving.timings_ms)
         if isinstance(moving, NotFound) and self._motion is not None:
-            moving = yield from moving_at(at_us, solver, quiet=quiet)
+            moving = yield from moving_at(at_us, solver, quiet=quiet, since_us=self._events.first_us)
             clock.add(moving.timings_ms)
         if isinstance(moving, NotFound):
             return _Try(at_us, None, None, replace(moving, timings_ms=clock.ms))

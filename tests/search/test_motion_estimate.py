@@ -16,6 +16,7 @@ from evqr.search.motion_estimate import (
     estimate_motion,
     estimate_motions,
     find_motion,
+    motion_probes,
 )
 from evqr.workspace import Workspace
 from evqr_kernels.registry import get_backend
@@ -171,6 +172,23 @@ def test_the_search_for_motion_asks_for_longer_windows_one_by_one(workspace):
             bounds = asking.send(buffer.window(*bounds))
     assert end.value.value is Reason.NOTHING_MOVES
     assert asked == [(100, 1_100), (100, 4_100), (100, 16_100), (100, 50_100)]
+
+
+@pytest.mark.parametrize("since_us", [None, 0, 90_000, 99_900])
+def test_longer_windows_may_end_with_the_shortest(since_us):
+    """So that nothing is waited for where nothing moves; at the beginning of a stream they cannot."""
+    cfg, start_us, probes = MotionConfig(), 100_000, []
+    asking = motion_probes(start_us, cfg, since_us=since_us)
+    with pytest.raises(StopIteration) as end:
+        probes.append(next(asking))
+        while True:
+            probes.append(asking.send(Reason.NOTHING_MOVES))
+    assert end.value.value is Reason.NOTHING_MOVES
+    lengths = [probe.end_us - probe.start_us for probe in probes]
+    assert (lengths[0], lengths[-1]) == (cfg.probe_us, cfg.longest_us) and lengths == sorted(lengths)
+    for probe, length in zip(probes, lengths, strict=True):
+        first_us = start_us if since_us is None else max(since_us, start_us + cfg.probe_us - length)
+        assert probe.start_us == min(first_us, start_us)
 
 
 @pytest.mark.parametrize("backend", ["warp", "numpy"])

@@ -194,7 +194,7 @@ class Scripted:
         return 100
 
     @staticmethod
-    def moving_at(start_us, solver, *, guess=None, quiet=None):
+    def moving_at(start_us, solver, *, guess=None, quiet=None, since_us=None):
         solver.searches += 1
         yield start_us, start_us + (100 if solver.searches == 1 else 30_000)
         return MotionEstimate(solver.motion, 0.5) if solver.searches == 1 else NotFound(Reason.NOTHING_MOVES)
@@ -270,7 +270,7 @@ class Vain:
         return 100
 
     @staticmethod
-    def moving_at(start_us, solver, *, guess=None, quiet=None):
+    def moving_at(start_us, solver, *, guess=None, quiet=None, since_us=None):
         solver.guesses.append(guess is not None)
         yield start_us, start_us + 100
         if len(solver.guesses) in solver.still:
@@ -291,6 +291,33 @@ def test_searches_in_vain_become_rarer_until_something_changes(monkeypatch):
     gaps = [2_500, 2_500 * 2, 10_000, 10_000, 10_000, 10_000, 2_000, 2_500, 5_000, 10_000]
     assert np.diff(starts)[: len(gaps)].tolist() == gaps
     assert solver.guesses[:10] == [False, *[True] * 6, False, False, True]
+
+
+def test_where_nothing_moves_the_search_is_up_to_date(solver):
+    """No code that comes is waited for until the longest window from before it is over."""
+    cfg = solver.config
+    latest_us = cfg.scheduler.unknown_us + cfg.motion.probe_us
+    events = noise(30_000, 100_000, width=64, height=48)
+    scheduler = StreamScheduler([solver], 64, 48)
+    behind = []
+    for chunk in cut_every(events, 1_000):
+        scheduler.push(chunk)
+        scheduler.step()
+        if (
+            len(chunk) and chunk.t[-1] > events.t[0] + cfg.motion.longest_us
+        ):  # before, there is no time before
+            behind.append(int(chunk.t[-1]) - scheduler.settled_us)
+    assert behind and max(behind) <= latest_us + 1_000
+
+
+def test_something_slow_that_comes_after_noise_is_read(solver):
+    """Its speed is told by windows that begin before it came."""
+    slow = scene(text="SLOW", version=1, module_px=4.0, speed_px_ms=0.2, travel_px=30.0, **VIEW).events
+    events = joined(noise(9_000, 70_000, width=VIEW["width"], height=VIEW["height"]), slow)
+    records, _ = records_of(cut_every(events, 5_000), solver)
+    (read,) = kinds(records, CodeRead)
+    assert read.reading.text == "SLOW"
+    assert read.reading.t_first_us < 70_000 + solver.config.motion.longest_us
 
 
 def test_time_that_passes_without_events_lets_a_code_leave(solver):
