@@ -24,6 +24,7 @@ FLOORS = (
     ("many", "output", "demo", "line"),
     ("archive", "sinks", "live"),
     ("page",),
+    ("service",),
     ("cli",),
     ("paper",),
     ("main",),

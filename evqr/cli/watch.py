@@ -7,7 +7,7 @@ from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from dataclasses import replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, Protocol
 
 import click
 
@@ -18,12 +18,21 @@ from evqr.values import json_line
 
 if TYPE_CHECKING:
     from evqr.config import ReadConfig
-    from evqr.line.gates import Trigger
     from evqr.line.reader import Reader
     from evqr.line.records import LineRecord
     from evqr.live.connection import Connection
+    from evqr.live.pieces import Piece
     from evqr.live.playing import Playing
     from evqr.recording import RecordingOptions
+
+
+class Stoppable(Protocol):
+    """What ends when it is told to."""
+
+    def stop(self) -> None:
+        """End soon."""
+        ...
+
 
 IN_STREAM = "stream"
 """Stands for a file of triggers, where they come with the events."""
@@ -34,9 +43,20 @@ IN_STREAM = "stream"
         "evqr watch line3.raw --json",
         "evqr watch line3.h5 --json --trigger gates.csv --speed 1",
         "evqr watch tcp://camera:7000 --json --trigger stream",
+        "evqr watch --example > line3.toml",
+        "evqr watch --config line3.toml",
     )
 )
-@click.argument("source", metavar="SOURCE")
+@click.argument("source", metavar="SOURCE", required=False)
+@click.option(
+    "--config",
+    "settings",
+    metavar="FILE.toml",
+    help="Run as a service: source, triggers, where records go, page and so on are in this file.",
+)
+@click.option("--check", is_flag=True, help="Only tell what is wrong with that file.")
+@click.option("--example", is_flag=True, help="Print such a file, and what stands in it.")
+@click.option("--schema", is_flag=True, help="Print the JSON schema of such files.")
 @click.option("--json", "as_json", is_flag=True, help="One JSON object a record, and nothing else there.")
 @click.option(
     "--trigger",
@@ -68,7 +88,11 @@ IN_STREAM = "stream"
     help="What runs the kernels.",
 )
 def watch(
-    source: str,
+    source: str | None,
+    settings: str | None,
+    check: bool,
+    example: bool,
+    schema: bool,
     as_json: bool,
     trigger: str | None,
     pulse_us: tuple[int, int] | None,
@@ -82,7 +106,9 @@ def watch(
     """Read a line: a record as soon as it is certain, one a part.
 
     SOURCE is a recording, which is played; or tcp://HOST:PORT, unix:PATH or - for standard input, from which
-    EVT3 or a packed stream comes. It ends with its source, or on SIGTERM, and tells all parts then.
+    EVT3 or a packed stream comes. It ends with its source, or on SIGTERM, and tells all parts then. With
+    --config it runs as a service: its source is in the file, and it logs to standard error, a JSON object a
+    line.
 
     Exit status: 0 on a clean stop, 1 when a source that ended had nothing that was read, 2 when it could not
     be used, 3 when evqr itself failed.
@@ -90,8 +116,19 @@ def watch(
     from evqr.config import TriggerConfig
     from evqr.line.reader import Reader
     from evqr.line.trigger_file import read_triggers
+    from evqr.service.feeding import feed
 
     options.be_quiet(quiet)
+    if example or schema:
+        return _print(example=example)
+    if settings is not None:
+        if source is not None or trigger is not None or speed is not None:
+            raise UsageError(
+                "--config has source and triggers in its file: leave out SOURCE, --trigger, --speed"
+            )
+        return _serve(settings, check=check, as_json=as_json)
+    if source is None:
+        raise UsageError("name a SOURCE, or a file of settings with --config")
     if trigger is None and pulse_us is not None:
         raise UsageError("--pulse-us says what pulses ask for: name them with --trigger")
     cfg = None if trigger is None else TriggerConfig()
@@ -106,7 +143,9 @@ def watch(
     read = False
     try:
         with _source(source, opening, speed) as opened, _stopped_by_sigterm(opened) as stopped:
-            for record in _records(opened, make, triggers, in_stream=trigger == IN_STREAM):
+            for record in feed(
+                opened, make, triggers, in_stream=trigger == IN_STREAM, seen=_tell_interruption(source)
+            ):
                 read = read or bool(getattr(record, "texts", ())) or record.record == "read"
                 row = {"record": record.record, "recording": source, **record.to_dict()}
                 click.echo(json_line(row) if as_json else _text(record))
@@ -115,6 +154,41 @@ def watch(
             said = {"status": "error", "reason": in_options(str(error)), "reason_code": error.reason}
             click.echo(json_line({"record": "error", "recording": source, **said}))
         raise
+    return OK if read or stopped else NOTHING
+
+
+def _print(*, example: bool) -> int:
+    """Print a file of settings, or the schema of such files."""
+    import json
+    from importlib.resources import files
+
+    from evqr.service.schema import json_schema
+
+    if example:
+        click.echo((files("evqr") / "data" / "watch.toml").read_text(encoding="utf-8"), nl=False)
+    else:
+        click.echo(json.dumps(json_schema(), indent=2))
+    return OK
+
+
+def _serve(path: str, *, check: bool, as_json: bool) -> int:
+    """Run a service until it is told to stop, or its source ends."""
+    from evqr.service.logs import log_as_json
+    from evqr.service.service import Service, sinks_of
+    from evqr.service.settings import load_settings
+
+    settings, jobs = load_settings(path)
+    if check:
+        for _ in sinks_of(settings):
+            pass
+        click.echo(f"{path}: all is well")
+        return OK
+    options.prepare(settings.backend, settings.device)
+    log_as_json()
+    out = (lambda record: click.echo(json_line(record))) if as_json else (lambda record: None)
+    service = Service(settings, jobs, out=out)
+    with _stopped_by_sigterm(service) as stopped:
+        read = service.run()
     return OK if read or stopped else NOTHING
 
 
@@ -137,7 +211,7 @@ def _source(source: str, opening: RecordingOptions, speed: float | None) -> Iter
 
 
 @contextmanager
-def _stopped_by_sigterm(source: Connection | Playing) -> Iterator[list[int]]:
+def _stopped_by_sigterm(source: Stoppable) -> Iterator[list[int]]:
     """Let SIGTERM end a source; what was heard is in the list."""
     heard: list[int] = []
 
@@ -152,52 +226,14 @@ def _stopped_by_sigterm(source: Connection | Playing) -> Iterator[list[int]]:
         signal.signal(signal.SIGTERM, before)
 
 
-def _records(
-    source: Connection | Playing,
-    make: Callable[[tuple[int, int]], Reader],
-    triggers: list[Trigger],
-    *,
-    in_stream: bool,
-) -> Iterator[LineRecord]:
-    """Feed a reader with what a source gives, each trigger before the events of its time."""
-    from evqr.live.pieces import Events, Interrupted, Sensor, TimePasses, TriggerSeen
+def _tell_interruption(source: str) -> Callable[[Piece], None]:
+    from evqr.live.pieces import Interrupted
 
-    reader: Reader | None = None
-    waiting = iter([*triggers])
-    following = next(waiting, None)
+    def tell(piece: Piece) -> None:
+        if isinstance(piece, Interrupted):
+            note(f"{source}: {piece.reason}; trying again")
 
-    def give(reader: Reader, until_us: int | None) -> None:
-        nonlocal following
-        while following is not None and (until_us is None or following.t_us <= until_us):
-            reader.trigger(following.t_us, following.kind.value, following.index, following.ticks)
-            following = next(waiting, None)
-
-    try:
-        for piece in source.pieces():
-            if isinstance(piece, Sensor):
-                reader = reader or make((piece.width, piece.height))
-            elif isinstance(piece, Interrupted):
-                note(f"{source.name}: {piece.reason}; trying again")
-                if reader is not None:
-                    yield from reader.interrupt(piece.reason)
-            elif reader is None:
-                continue
-            elif isinstance(piece, Events):
-                if len(piece.columns.t):
-                    give(reader, int(piece.columns.t.max()))
-                    yield from reader.push(piece.columns)
-            elif isinstance(piece, TimePasses):
-                give(reader, piece.t_us)
-                yield from reader.advance(piece.t_us)
-            elif isinstance(piece, TriggerSeen) and in_stream:
-                reader.trigger(piece.t_us, piece.kind, piece.index, piece.ticks)
-    except EvqrError:
-        if reader is not None:  # what was read before what is wrong is told
-            yield from reader.close()
-        raise
-    if reader is not None:
-        give(reader, None)
-        yield from reader.close()
+    return tell
 
 
 def _text(record: LineRecord) -> str:

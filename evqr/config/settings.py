@@ -93,7 +93,9 @@ class Settings:
             try:
                 object.__setattr__(self, name, _converted(value, kind))
             except (TypeError, ValueError) as error:
-                raise type(error)(f"{name} must be {_allowed(kind)}, got {value!r}") from None
+                # of settings within settings, the message is there already
+                said = f"{name}: {error}" if error.args else f"{name} must be {_allowed(kind)}, got {value!r}"
+                raise type(error)(said) from None
 
     def to_dict(self) -> dict[str, Any]:
         """Return the settings as plain values that JSON and TOML can hold; `from_dict` reads them.
@@ -203,7 +205,10 @@ def _converted(value: Any, kind: Any) -> Any:
     if kind is float and isinstance(value, numbers.Real) and not isinstance(value, bool):
         return float(value)
     if isinstance(kind, type) and issubclass(kind, Enum) and isinstance(value, (str, kind)):
-        return kind(value)
+        try:
+            return kind(value)
+        except ValueError:
+            raise ValueError from None  # what is allowed is said in one place
     if isinstance(kind, type) and issubclass(kind, Settings):
         if isinstance(value, Mapping):
             return kind.from_dict(value)

@@ -73,6 +73,7 @@ class LineState:
         self._events = 0
         self._behind_ms = 0.0
         self._source, self._source_error = "", "not connected yet"
+        self._problems: dict[str, str] = {}
         self._sinks: Callable[[], Sequence[tuple[str, OutletStatus]]] = tuple
 
     # ---- what happens
@@ -86,6 +87,11 @@ class LineState:
         with self._lock:
             self._source, self._source_error = source, error
             self._counts["interruptions"] += bool(error)
+
+    def problem(self, of: str, text: str) -> None:
+        """Say what is wrong with something, or with an empty text that nothing is any more."""
+        with self._lock:
+            self._problems[of] = text
 
     def take(
         self, record: Mapping[str, Any], *, file: str | None = None, modules: Sequence[str] = ()
@@ -161,6 +167,7 @@ class LineState:
         """What is not as it should be, in words; none where the line is ready."""
         with self._lock:
             found = [f"{self._source or 'source'}: {self._source_error}"] if self._source_error else []
+            found += [text for text in self._problems.values() if text]
         return found + [f"{name}: {status.error}" for name, status in self._sinks() if not status.up]
 
     @property

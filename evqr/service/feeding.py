@@ -1,0 +1,83 @@
+"""From what a source gives to a reader, each trigger before the events of its time."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator, Sequence
+
+from evqr.errors import EvqrError
+from evqr.line.gates import Trigger
+from evqr.line.reader import Reader
+from evqr.line.records import LineRecord
+from evqr.live.connection import Connection
+from evqr.live.pieces import Events, Interrupted, Piece, Sensor, TimePasses, TriggerSeen
+from evqr.live.playing import Playing
+
+
+def feed(
+    source: Connection | Playing,
+    make: Callable[[tuple[int, int]], Reader],
+    triggers: Sequence[Trigger] = (),
+    *,
+    in_stream: bool = False,
+    seen: Callable[[Piece], None] = lambda piece: None,
+) -> Iterator[LineRecord]:
+    """Feed a reader until the source ends or is stopped.
+
+    Parameters
+    ----------
+    source : Connection or Playing
+        Of events.
+    make : callable
+        Makes the reader, once the size of the sensor is known.
+    triggers : sequence of Trigger
+        In order of time.
+    in_stream : bool
+        Take the triggers of the source as well.
+    seen : callable
+        Is given each piece before the reader is.
+
+    Yields
+    ------
+    record : LineRecord
+        As soon as it is certain; the last ones also where the source turns out to be wrong.
+
+    Raises
+    ------
+    EvqrError
+        The source cannot be read.
+    """
+    reader: Reader | None = None
+    waiting = iter(triggers)
+    following = next(waiting, None)
+
+    def give(reader: Reader, until_us: int | None) -> None:
+        nonlocal following
+        while following is not None and (until_us is None or following.t_us <= until_us):
+            reader.trigger(following.t_us, following.kind.value, following.index, following.ticks)
+            following = next(waiting, None)
+
+    try:
+        for piece in source.pieces():
+            seen(piece)
+            if isinstance(piece, Sensor):
+                reader = reader or make((piece.width, piece.height))
+            elif reader is None:
+                continue
+            elif isinstance(piece, Interrupted):
+                yield from reader.interrupt(piece.reason)
+            elif isinstance(piece, Events):
+                if len(piece.columns.t):
+                    give(reader, int(piece.columns.t.max()))
+                    yield from reader.push(piece.columns)
+            elif isinstance(piece, TimePasses):
+                give(reader, piece.t_us)
+                yield from reader.advance(piece.t_us)
+            elif isinstance(piece, TriggerSeen) and in_stream:
+                reader.trigger(piece.t_us, piece.kind, piece.index, piece.ticks)
+    except EvqrError:
+        if reader is not None:  # what was read before what is wrong is told
+            yield from reader.close()
+        raise
+    if reader is not None:
+        give(reader, None)
+        yield from reader.close()
