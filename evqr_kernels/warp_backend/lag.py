@@ -25,7 +25,15 @@ from functools import cache
 import warp as wp
 
 from evqr_kernels.operations.events import CHUNK
-from evqr_kernels.warp_backend.language import clear, launch, module_of, neighbours, variant, vector
+from evqr_kernels.warp_backend.language import (
+    clear,
+    launch,
+    launch_bounds,
+    module_of,
+    neighbours,
+    variant,
+    vector,
+)
 from evqr_kernels.warp_backend.transport import make_transport, window_of
 
 
@@ -94,10 +102,10 @@ def deposit_events(x, y, t, weight, window_ptr, motion, frame, deposit_out) -> N
 
 @cache
 def make_lag_rows(dtype: type, block: int) -> wp.Kernel:
-    """Build the pass along rows; launch: one thread per (image, row, block of cells)."""
+    """Build the pass along rows; launch: ``parts`` threads per row of an image."""
     vec_block = vector(block, dtype)
 
-    @wp.kernel(module=module_of(f"lag_{block}", dtype))
+    @wp.kernel(module=module_of(f"lag_{block}", dtype), launch_bounds=launch_bounds(dtype))
     def lag_rows(
         blocks: wp.array4d(dtype=vec_block),
         deposit_idx: wp.array(dtype=wp.int32),
@@ -105,33 +113,34 @@ def make_lag_rows(dtype: type, block: int) -> wp.Kernel:
         lag: wp.array2d(dtype=dtype),
         taps: wp.array2d(dtype=dtype),
         extent: wp.array2d(dtype=wp.int32),
+        parts: int,
         rows_out: wp.array4d(dtype=vec_block),
     ):
-        n, y, k = wp.tid()
+        n, y, part = wp.tid()
         b = wp.clamp(deposit_idx[n], 0, blocks.shape[0] - 1)
         size = taps.shape[1]
         reach = size // 2
         right = wp.min(extent[n, 1], blocks.shape[3] + block - 1) - reach
-        x = reach + block * k
-        if y >= extent[n, 0] or x >= right:
+        if y >= extent[n, 0]:
             return
-        # the last block ends with the row; what it shares with the one before is written twice, alike
-        x = wp.max(wp.min(x, right - block), reach)
-        on = vec_block()
-        off = vec_block()
-        on_slope = vec_block()
-        off_slope = vec_block()
-        for i in range(size):
-            v = blocks[b, 0, y, x + i - reach]
-            on += taps[0, i] * v
-            on_slope += taps[1, i] * v
-            v = blocks[b, 1, y, x + i - reach]
-            off += taps[0, i] * v
-            off_slope += taps[1, i] * v
         lag_on = lag[n, 0]
         lag_off = lag[n, 1]
-        rows_out[n, 0, y, x] = on + off - direction[n, 0] * (lag_on * on_slope + lag_off * off_slope)
-        rows_out[n, 1, y, x] = -direction[n, 1] * (lag_on * on + lag_off * off)
+        for begin in range(reach + block * part, right, block * parts):
+            # the last block ends with the row; what it shares with the one before is written twice, alike
+            x = wp.max(wp.min(begin, right - block), reach)
+            on = vec_block()
+            off = vec_block()
+            on_slope = vec_block()
+            off_slope = vec_block()
+            for i in range(size):
+                v = blocks[b, 0, y, x + i - reach]
+                on += taps[0, i] * v
+                on_slope += taps[1, i] * v
+                v = blocks[b, 1, y, x + i - reach]
+                off += taps[0, i] * v
+                off_slope += taps[1, i] * v
+            rows_out[n, 0, y, x] = on + off - direction[n, 0] * (lag_on * on_slope + lag_off * off_slope)
+            rows_out[n, 1, y, x] = -direction[n, 1] * (lag_on * on + lag_off * off)
 
     return lag_rows
 
@@ -146,33 +155,34 @@ def make_lag_columns(dtype: type, block: int) -> wp.Kernel:
         rows: wp.array4d(dtype=vec_block),
         taps: wp.array2d(dtype=dtype),
         extent: wp.array2d(dtype=wp.int32),
+        parts: int,
         image_out: wp.array3d(dtype=dtype),
         blocks_out: wp.array3d(dtype=vec_block),
     ):
-        n, y, k = wp.tid()
+        n, y, part = wp.tid()
         size = taps.shape[1]
         reach = size // 2
         width = image_out.shape[2]
         right = wp.min(extent[n, 1], width) - reach
-        if k == 0:
+        if part == 0:
             for i in range(reach):
                 image_out[n, y, i] = dtype(0.0)
                 image_out[n, y, width - 1 - i] = dtype(0.0)
-        first = reach + block * k
-        if first < right:
-            x = wp.max(wp.min(first, right - block), reach)
-            total = vec_block()
-            if y >= reach and y < wp.min(extent[n, 0], image_out.shape[1]) - reach:
-                for j in range(size):
-                    row = y + j - reach
-                    total += taps[0, j] * rows[n, 0, row, x] + taps[1, j] * rows[n, 1, row, x]
-                if right - x < block:  # all of it is narrower than a block
-                    for p in range(block):
-                        if x + p >= right:
-                            total[p] = dtype(0.0)
-            blocks_out[n, y, x] = total
-        for i in range(wp.max(first, right), wp.min(first + block, width - reach)):
-            image_out[n, y, i] = dtype(0.0)
+        for first in range(reach + block * part, width - reach, block * parts):
+            if first < right:
+                x = wp.max(wp.min(first, right - block), reach)
+                total = vec_block()
+                if y >= reach and y < wp.min(extent[n, 0], image_out.shape[1]) - reach:
+                    for j in range(size):
+                        row = y + j - reach
+                        total += taps[0, j] * rows[n, 0, row, x] + taps[1, j] * rows[n, 1, row, x]
+                    if right - x < block:  # all of it is narrower than a block
+                        for p in range(block):
+                            if x + p >= right:
+                                total[p] = dtype(0.0)
+                blocks_out[n, y, x] = total
+            for i in range(wp.max(first, right), wp.min(first + block, width - reach)):
+                image_out[n, y, i] = dtype(0.0)
 
     return lag_columns
 
@@ -186,19 +196,19 @@ def lag_operator(deposit, deposit_idx, direction, lag, taps, extent, rows_out, i
         clear(image_out)
         return
     block = variant("lag_operator", device, inner).tile
-    blocks = -(-inner // block)
+    parts = 1 if device.is_cpu else -(-inner // block)
     rows = neighbours(rows_out, block)
     launch(
         make_lag_rows(dtype, block),
-        (count, height, blocks),
-        inputs=[neighbours(deposit, block), deposit_idx, direction, lag, taps, extent],
+        (count, height, parts),
+        inputs=[neighbours(deposit, block), deposit_idx, direction, lag, taps, extent, parts],
         outputs=[rows],
         device=device,
     )
     launch(
         make_lag_columns(dtype, block),
-        (count, height, blocks),
-        inputs=[rows, taps, extent],
+        (count, height, parts),
+        inputs=[rows, taps, extent, parts],
         outputs=[image_out, neighbours(image_out, block)],
         device=device,
     )

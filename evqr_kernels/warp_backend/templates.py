@@ -98,7 +98,7 @@ def make_quiet_floor(dtype: type) -> wp.Kernel:
 
 @cache
 def make_correlate_first(dtype: type, block: int) -> wp.Kernel:
-    """Build the energies and the first term's sums; launch: one thread per ``block`` neighbours of a row.
+    """Build the energies and the first term's sums; launch: ``parts`` threads per row, block by block.
 
     ``pixels[b, y, x]`` is the vector of ``block`` pixels from x on, ``squares`` that of running sums.  The
     last block of a row ends with the row and may overlap the one before: those pixels are computed twice,
@@ -116,31 +116,34 @@ def make_correlate_first(dtype: type, block: int) -> wp.Kernel:
         extent: wp.array3d(dtype=wp.int32),
         squares: wp.array3d(dtype=vec_pixels),
         floor: wp.array2d(dtype=dtype),
+        parts: int,
         sums_out: wp.array4d(dtype=vec_pixels),
     ):
-        b, y, k = wp.tid()
+        b, y, part = wp.tid()
         level = rows[y, 0]
-        if level < 0 or rows[y, 1] >= extent[b, level, 0] or block * k >= extent[b, level, 1]:
+        if level < 0 or rows[y, 1] >= extent[b, level, 0]:
             return
-        x = wp.min(block * k, sums_out.shape[3] - 1)
         size = spans.shape[0]
-        energy = vec_pixels()
-        for i in range(size):
-            energy += squares[b, y + spans[i, 1], x + i] - squares[b, y + spans[i, 0], x + i]
-        sums_out[b, TERMS, y, x] = energy
-        total = vec_pixels()
-        if wp.max(energy) > floor[b, level]:
+        quiet = floor[b, level]
+        for begin in range(block * part, extent[b, level, 1], block * parts):
+            x = wp.min(begin, sums_out.shape[3] - 1)
+            energy = vec_pixels()
             for i in range(size):
-                for j in range(spans[i, 0], spans[i, 1]):
-                    total += basis[b, j, i][0] * pixels[b, y + j, x + i]
-        sums_out[b, 0, y, x] = total
+                energy += squares[b, y + spans[i, 1], x + i] - squares[b, y + spans[i, 0], x + i]
+            sums_out[b, TERMS, y, x] = energy
+            total = vec_pixels()
+            if wp.max(energy) > quiet:
+                for i in range(size):
+                    for j in range(spans[i, 0], spans[i, 1]):
+                        total += basis[b, j, i][0] * pixels[b, y + j, x + i]
+            sums_out[b, 0, y, x] = total
 
     return correlate_first
 
 
 @cache
 def make_correlate_others(dtype: type, block: int) -> wp.Kernel:
-    """Build the other terms' sums, where the first is strong; launch: one thread per ``block`` neighbours."""
+    """Build the other terms' sums, where the first is strong; launch: ``parts`` threads per row."""
     vec_pixels = vector(block, dtype)
     vec_terms = vector(TERMS, dtype)
 
@@ -153,104 +156,107 @@ def make_correlate_others(dtype: type, block: int) -> wp.Kernel:
         extent: wp.array3d(dtype=wp.int32),
         floor: wp.array2d(dtype=dtype),
         first: dtype,
+        parts: int,
         sums_out: wp.array4d(dtype=vec_pixels),
     ):
-        b, y, k = wp.tid()
+        b, y, part = wp.tid()
         level = rows[y, 0]
-        if level < 0 or rows[y, 1] >= extent[b, level, 0] or block * k >= extent[b, level, 1]:
-            return
-        x = wp.min(block * k, sums_out.shape[3] - 1)
-        s0 = sums_out[b, 0, y, x]
-        energy = sums_out[b, TERMS, y, x]
-        quiet = floor[b, level]
-        strong = wp.cw_mul(s0, s0) - first * first * energy
-        if not wp.max(strong) >= first * first * quiet or not wp.max(energy) > quiet:
+        if level < 0 or rows[y, 1] >= extent[b, level, 0]:
             return
         size = spans.shape[0]
-        s1 = vec_pixels()
-        s2 = vec_pixels()
-        s3 = vec_pixels()
-        s4 = vec_pixels()
-        for i in range(size):
-            for j in range(spans[i, 0], spans[i, 1]):
-                v = pixels[b, y + j, x + i]
-                term = basis[b, j, i]
-                s1 += term[1] * v
-                s2 += term[2] * v
-                s3 += term[3] * v
-                s4 += term[4] * v
-        sums_out[b, 1, y, x] = s1
-        sums_out[b, 2, y, x] = s2
-        sums_out[b, 3, y, x] = s3
-        sums_out[b, 4, y, x] = s4
+        quiet = floor[b, level]
+        for begin in range(block * part, extent[b, level, 1], block * parts):
+            x = wp.min(begin, sums_out.shape[3] - 1)
+            s0 = sums_out[b, 0, y, x]
+            energy = sums_out[b, TERMS, y, x]
+            strong = wp.cw_mul(s0, s0) - first * first * energy
+            if wp.max(strong) >= first * first * quiet and wp.max(energy) > quiet:
+                s1 = vec_pixels()
+                s2 = vec_pixels()
+                s3 = vec_pixels()
+                s4 = vec_pixels()
+                for i in range(size):
+                    for j in range(spans[i, 0], spans[i, 1]):
+                        v = pixels[b, y + j, x + i]
+                        term = basis[b, j, i]
+                        s1 += term[1] * v
+                        s2 += term[2] * v
+                        s3 += term[3] * v
+                        s4 += term[4] * v
+                sums_out[b, 1, y, x] = s1
+                sums_out[b, 2, y, x] = s2
+                sums_out[b, 3, y, x] = s3
+                sums_out[b, 4, y, x] = s4
 
     return correlate_others
 
 
 @cache
-def make_best_template(dtype: type, block: int) -> wp.Kernel:
-    """Build the choice of the best template; launch: one thread per ``block`` neighbours of a row.
+def make_best_template(dtype: type, together: int) -> wp.Kernel:
+    """Build the choice of the best template; launch: ``parts`` threads per row, block by block.
 
     A kernel of its own: behind the correlation it would take the registers that its sums need.
     """
-    vec_pixels = vector(block, dtype)
-    vec_indices = vector(block, wp.int32)
+    vec_pixels = vector(together, dtype)
+    vec_indices = vector(together, wp.int32)
     vec_pair = vector(2, dtype)
     vec_terms = vector(TERMS, dtype)
 
-    @wp.kernel(module=module_of(f"templates_best_{block}", dtype))
+    @wp.kernel(module=module_of(f"templates_best_{together}", dtype))
     def best_template(
-        sums: wp.array4d(dtype=dtype),
-        blocks: wp.array4d(dtype=vec_pixels),
+        sums: wp.array4d(dtype=vec_pixels),
         mix: wp.array2d(dtype=vec_terms),
         rows: wp.array2d(dtype=wp.int32),
         extent: wp.array3d(dtype=wp.int32),
         floor: wp.array2d(dtype=dtype),
         limits: vec_pair,
+        parts: int,
         response_out: wp.array3d(dtype=dtype),
         response_blocks_out: wp.array3d(dtype=vec_pixels),
         angle_out: wp.array3d(dtype=wp.int32),
         angle_blocks_out: wp.array3d(dtype=vec_indices),
     ):
-        b, y, k = wp.tid()
+        b, y, part = wp.tid()
         level = rows[y, 0]
-        if level < 0 or rows[y, 1] >= extent[b, level, 0] or block * k >= extent[b, level, 1]:
+        if level < 0 or rows[y, 1] >= extent[b, level, 0]:
             return
-        begin = wp.min(block * k, response_blocks_out.shape[2] - 1)
+        width = extent[b, level, 1]
         quiet = floor[b, level]
         first = limits[0] * limits[0]
         least = limits[1] * limits[1]
-        energies = blocks[b, TERMS, y, begin]
-        s0 = blocks[b, 0, y, begin]
-        end = wp.min(begin + block, extent[b, level, 1])
-        if end == begin + block:
-            response_blocks_out[b, y, begin] = vec_pixels()
-            angle_blocks_out[b, y, begin] = vec_indices()
-        else:
-            for x in range(begin, end):
-                response_out[b, y, x] = dtype(0.0)
-                angle_out[b, y, x] = 0
-        if not wp.max(wp.cw_mul(s0, s0) - first * energies) >= first * quiet or not wp.max(energies) > quiet:
-            return
-        for x in range(begin, end):
-            energy = sums[b, TERMS, y, x]
-            value0 = sums[b, 0, y, x]
-            if energy > quiet and value0 * value0 >= first * (energy + quiet):
-                here = vec_terms(
-                    value0, sums[b, 1, y, x], sums[b, 2, y, x], sums[b, 3, y, x], sums[b, 4, y, x]
-                )
-                weakest = least * (energy + quiet)
-                if wp.dot(here, here) >= weakest:  # no template answers more than this
-                    best = dtype(0.0)
-                    angle = wp.int32(0)
-                    for a in range(mix.shape[1]):
-                        value = wp.dot(mix[b, a], here)
-                        if wp.abs(value) > wp.abs(best):
-                            best = value
-                            angle = a
-                    if best * best >= weakest:
-                        response_out[b, y, x] = best / wp.sqrt(energy + quiet)
-                        angle_out[b, y, x] = angle
+        for from_x in range(together * part, width, together * parts):
+            begin = wp.min(from_x, response_blocks_out.shape[2] - 1)
+            energies = sums[b, TERMS, y, begin]
+            s0 = sums[b, 0, y, begin]
+            best = vec_pixels()
+            angle = vec_indices()
+            if wp.max(wp.cw_mul(s0, s0) - first * energies) >= first * quiet and wp.max(energies) > quiet:
+                s1 = sums[b, 1, y, begin]
+                s2 = sums[b, 2, y, begin]
+                s3 = sums[b, 3, y, begin]
+                s4 = sums[b, 4, y, begin]
+                for a in range(mix.shape[1]):
+                    share = mix[b, a]
+                    value = share[0] * s0 + share[1] * s1 + share[2] * s2 + share[3] * s3 + share[4] * s4
+                    for p in range(together):
+                        better = wp.abs(value[p]) > wp.abs(best[p])
+                        best[p] = wp.where(better, value[p], best[p])
+                        angle[p] = wp.where(better, a, angle[p])
+                # without a branch, so that vector units choose for all neighbours at once
+                for p in range(together):
+                    bound = energies[p] + quiet
+                    answer = wp.where(best[p] * best[p] >= least * bound, best[p], dtype(0.0))
+                    answer = wp.where(s0[p] * s0[p] >= first * bound, answer, dtype(0.0))
+                    answer = wp.where(energies[p] > quiet, answer, dtype(0.0))
+                    angle[p] = wp.where(answer != dtype(0.0), angle[p], 0)
+                    best[p] = answer / wp.sqrt(wp.where(answer != dtype(0.0), bound, dtype(1.0)))
+            if begin + together <= width:
+                response_blocks_out[b, y, begin] = best
+                angle_blocks_out[b, y, begin] = angle
+            else:
+                for p in range(width - begin):
+                    response_out[b, y, begin + p] = best[p]
+                    angle_out[b, y, begin + p] = angle[p]
 
     return best_template
 
@@ -269,6 +275,9 @@ def correlate_templates(
     if width < wide:
         wide = block
     pixels, squares = neighbours(image, block), neighbours(squares_out, block)
+    # what a thread begins with takes a CPU as long as a block in which nothing is
+    parts, wide_parts = (1 if device.is_cpu else -(-width // each) for each in (block, wide))
+    one = block if device.is_cpu else 1  # neighbours' sums would take a GPU more registers than there are
     terms = last_axis_as_vector(basis)
     launch(
         make_running_squares(dtype, block),
@@ -286,27 +295,28 @@ def correlate_templates(
     )
     launch(
         make_correlate_first(dtype, wide),
-        (batch, height, -(-width // wide)),
+        (batch, height, wide_parts),
         inputs=[
             neighbours(image, wide), terms, spans, rows, extent, neighbours(squares_out, wide), floor_out,
+            wide_parts,
         ],
         outputs=[neighbours(sums_out, wide)],
         device=device,
     )  # fmt: skip
     launch(
         make_correlate_others(dtype, block),
-        (batch, height, -(-width // block)),
-        inputs=[pixels, terms, spans, rows, extent, floor_out, first],
+        (batch, height, parts),
+        inputs=[pixels, terms, spans, rows, extent, floor_out, first, parts],
         outputs=[neighbours(sums_out, block)],
         device=device,
     )
     launch(
-        make_best_template(dtype, block),
-        (batch, height, -(-width // block)),
+        make_best_template(dtype, one),
+        (batch, height, parts if device.is_cpu else width),
         inputs=[
-            sums_out, neighbours(sums_out, block), last_axis_as_vector(mix), rows, extent, floor_out,
-            vector(2, dtype)(first, least),
+            neighbours(sums_out, one), last_axis_as_vector(mix), rows, extent, floor_out,
+            vector(2, dtype)(first, least), parts if device.is_cpu else width,
         ],
-        outputs=[response_out, neighbours(response_out, block), angle_out, neighbours(angle_out, block)],
+        outputs=[response_out, neighbours(response_out, one), angle_out, neighbours(angle_out, one)],
         device=device,
     )  # fmt: skip
