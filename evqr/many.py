@@ -19,6 +19,7 @@ from evqr.errors import EvqrError
 from evqr.events.array import EventArray
 from evqr.reason import Reason
 from evqr.recording import Recording
+from evqr.recording.arrays import is_table
 from evqr.recording.options import check_names
 from evqr.results import ReadResult, ReadStatus
 
@@ -72,7 +73,7 @@ def read_many(
     TypeError
         When the first result is asked for: ``sources`` are none, or a keyword is unknown.
     """
-    if isinstance(sources, (str, PathLike, EventArray, Recording, np.ndarray, Mapping)):
+    if isinstance(sources, (str, PathLike, EventArray, Recording, np.ndarray, Mapping)) or is_table(sources):
         sources = [sources]
     elif not isinstance(sources, Iterable):
         raise TypeError(

@@ -12,6 +12,7 @@ before.  The rest may change: the arguments of launchers (the table tells them),
 modules of backends.
 """
 
+# what is taken is what __all__ of each module lists
 # ruff: noqa: F403
 from __future__ import annotations
 

@@ -27,10 +27,14 @@ class Guess(Protocol):
     """Where a code might be: its space and pose (3, 3) [px]."""
 
     @property
-    def space(self) -> CodeSpace: ...  # noqa: D102
+    def space(self) -> CodeSpace:
+        """Kind and size of the code."""
+        ...
 
     @property
-    def pose(self) -> NDArray[np.float64]: ...  # noqa: D102
+    def pose(self) -> NDArray[np.float64]:
+        """Code coordinates to px (3, 3)."""
+        ...
 
 
 @dataclass(frozen=True, eq=False)

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from typing import Any
+from typing import Any, cast
 
 import numpy as np
 from numpy.typing import NDArray
@@ -12,7 +12,7 @@ from evqr.events.array import EventArray
 
 from ..errors import RecordingError
 from .columns import DEFAULT_ORDER, require_columns, require_equal_lengths, settle_order, unit_in_name
-from .declared import DeclaredSensor, DeclaredUnit, find_sensor
+from .declared import PER_SECOND, DeclaredSensor, DeclaredUnit, TimeUnit, find_sensor
 from .faults import Faults
 from .options import Asked
 from .source import RawChunks, RawColumns, Source
@@ -53,12 +53,12 @@ def open_arrays(source: Any, asked: Asked | None = None) -> Source:
         return _matrix(source, asked)
     if isinstance(source, Mapping):
         return _named(source, "dict")
-    if hasattr(source, "columns") and hasattr(source, "__getitem__"):  # of pandas, Polars, PyArrow
-        names = getattr(source, "column_names", source.columns)
-        return _named({str(name): source[name] for name in names}, type(source).__name__)
+    if is_table(source):
+        return _table(source)
     if isinstance(source, (tuple, list)):
         if len(source) == 4 and not _are_rows(source):
-            return ArraySource(RawColumns(*(_column(values) for values in source)), "arrays t, x, y, p")
+            columns = RawColumns(*(_column(values) for values in source))
+            return _with_times(columns, "arrays t, x, y, p")
         try:
             return _matrix(np.asarray(source), asked)
         except ValueError:  # rows of different lengths
@@ -67,6 +67,33 @@ def open_arrays(source: Any, asked: Asked | None = None) -> Source:
         "source must be a path, EventArray, array, dict or DataFrame with columns t, x, y, p, or"
         f" (t, x, y, p), got {_kind_of(source)}"
     )
+
+
+def is_table(source: Any) -> bool:
+    """Tell whether something is a table of named columns, such as a DataFrame of pandas or Polars."""
+    return hasattr(type(source), "columns") or hasattr(type(source), "column_names")
+
+
+def _table(source: Any) -> Source:
+    """Take the columns of a table, and its index where that has a name."""
+    kind = type(source).__name__
+    if not hasattr(source, "__len__"):
+        raise TypeError(f"source must hold its events, got a {kind} that is not computed; pass .collect()")
+    if getattr(getattr(source, "index", None), "name", None) is not None:
+        source = source.reset_index()
+    names = getattr(source, "column_names", source.columns)
+    return _named({str(name): source[name] for name in names}, kind)
+
+
+def _with_times(columns: RawColumns, kind: str, **known: Any) -> Source:
+    """Take columns whose times may be dates or durations, which have a unit of their own."""
+    if columns.t.dtype.kind not in "mM":
+        return ArraySource(columns, kind, **known)
+    unit, count = np.datetime_data(columns.t.dtype)
+    if unit not in PER_SECOND or count != 1:
+        unit, columns = "ns", columns._replace(t=columns.t.astype(f"{columns.t.dtype.kind}8[ns]"))
+    said = DeclaredUnit(cast("TimeUnit", unit), f"its times are {columns.t.dtype}")
+    return ArraySource(columns._replace(t=columns.t.astype(np.int64)), kind, **{**known, "unit": said})
 
 
 def _named(values: Mapping[str, Any], kind: str) -> Source:
@@ -78,12 +105,13 @@ def _named(values: Mapping[str, Any], kind: str) -> Source:
     columns = RawColumns(*(_column(by_name[found[column]]) for column in "txyp"))
     others = {name: each for name, each in by_name.items() if name not in found.values()}
     sensor = find_sensor({name: each for name, each in others.items() if np.size(each) <= 2})
-    return ArraySource(columns, kind, unit=unit, sensor=sensor)
+    return _with_times(columns, kind, unit=unit, sensor=sensor)
 
 
 def _column(values: Any) -> NDArray[Any]:
     """Make an array of a column, whatever holds it."""
-    return np.atleast_1d(np.asarray(values))
+    array = np.atleast_1d(np.asarray(values))
+    return np.array(array.tolist()) if array.dtype.hasobject and array.ndim == 1 else array
 
 
 def _are_rows(values: Sequence[Any]) -> bool:

@@ -35,8 +35,11 @@ _PAIRS = ("geometry", "resolution", "", "size", "shape", "dimension", "dimension
 _SURE_PAIRS = ("geometry", "resolution")
 """Names of which a value that is no pair of numbers is worth a word."""
 
+TIMES = "\N{MULTIPLICATION SIGN}"
+"""Between the sides of a sensor, beside the letter."""
+
 _NUMBER = r"(\d+)(?:\.0*)?\s*(?:px|pixels?)?"
-_SIZE = re.compile(rf"[^\d-]*?{_NUMBER}\s*(?:[x×*,;/ ]|by)\s*{_NUMBER}\W*", re.IGNORECASE)  # noqa: RUF001
+_SIZE = re.compile(rf"[^\d-]*?{_NUMBER}\s*(?:[x{TIMES}*,;/ ]|by)\s*{_NUMBER}\W*", re.IGNORECASE)
 _NAMED_WIDTH = re.compile(r"width\W*(\d+)", re.IGNORECASE)
 _NAMED_HEIGHT = re.compile(r"height\W*(\d+)", re.IGNORECASE)
 

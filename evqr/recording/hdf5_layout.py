@@ -161,7 +161,7 @@ def _walk(group: h5py.Group, place: str = "/", seen: set[int] | None = None) -> 
 
 
 def _address(thing: h5py.Group | h5py.Dataset) -> int:
-    return h5py.h5o.get_info(thing.id).addr  # pyright: ignore[reportAttributeAccessIssue]
+    return h5py.h5o.get_info(thing.id).addr  # pyright: ignore[reportAttributeAccessIssue] (not in its stubs)
 
 
 def _addresses(layout: Layout) -> tuple[int, ...]:

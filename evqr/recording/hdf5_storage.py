@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import io
 import os
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import h5py
 
@@ -83,7 +83,7 @@ class _Padded(io.RawIOBase):
     def tell(self) -> int:
         return self._at
 
-    def readinto(self, buffer: memoryview | bytearray) -> int:  # pyright: ignore[reportIncompatibleMethodOverride]
+    def readinto(self, buffer: Any, /) -> int:
         view = memoryview(buffer).cast("B")
         self._file.seek(self._at)
         count = self._file.readinto(view) or 0

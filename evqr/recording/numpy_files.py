@@ -6,8 +6,9 @@ Both are streamed from the (compressed) bytes; a memory map would not do for .np
 from __future__ import annotations
 
 import zipfile
-from collections.abc import Callable, Iterable, Mapping
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from contextlib import ExitStack, suppress
+from functools import partial
 from typing import IO, Any, NamedTuple
 
 import numpy as np
@@ -175,11 +176,15 @@ class NpzSource(Source):
                         ArrayReader(stack.enter_context(archive.open(self._columns[c])), self.name, c)
                         for c in "txyp"
                     ]
-                    read = lambda count: RawColumns(*(part(count) for part in parts))  # noqa: E731
+                    read = partial(_columns, parts)
             for _ in range(0, self.n_events or 0, chunk_events):
                 with explained(self.name, "npz file"):
                     raw = read(chunk_events)
                 yield raw
+
+
+def _columns(parts: Sequence[ArrayReader], count: int) -> RawColumns:
+    return RawColumns(*(part(count) for part in parts))
 
 
 class ArrayReader:

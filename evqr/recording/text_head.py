@@ -15,6 +15,7 @@ import numpy as np
 from ..errors import RecordingError
 from .columns import Columns, find_columns, require_columns, settle_order, unit_in_name
 from .declared import (
+    TIMES,
     DeclaredSensor,
     DeclaredUnit,
     Unclear,
@@ -36,7 +37,7 @@ SAMPLE_LINES = 4096
 MAX_TITLES = 32
 
 _NAME = re.compile(r"\"[^\"]*\"|'[^']*'|[^\s\[(,;]+(?:\s*[\[(][^\])]*[\])])?")
-_SAID = re.compile(r"([A-Za-z][\w ]*?)\s*[:=]?\s*[\[(]?(\d+)(?:\s*[x×*,; ]\s*(\d+))?", re.ASCII)  # noqa: RUF001
+_SAID = re.compile(rf"([A-Za-z][\w ]*?)\s*[:=]?\s*[\[(]?(\d+)(?:\s*[x{TIMES}*,; ]\s*(\d+))?", re.ASCII)
 _UNIT = re.compile(
     r"\b(?:units?\s*[:=]?|(?:t|times?|timestamps?)\s+(?:is |are )?in|(?:t|times?|timestamps?)\s*[\[(])"
     r"\s*([^\s,;\])]+)",
@@ -310,12 +311,16 @@ def _unit_in(text: str) -> DeclaredUnit | None:
 
 def _size(text: str) -> tuple[int, int] | None:
     """Size that a line is, of two whole numbers and nothing else."""
-    return parse_size(text) if re.fullmatch(r"\d+(?:\s*[x×,;]\s*|\s+)\d+", text) else None  # noqa: RUF001
+    return parse_size(text) if re.fullmatch(rf"\d+(?:\s*[x{TIMES},;]\s*|\s+)\d+", text) else None
 
 
 def _values(cells: Iterable[str]) -> list[float] | None:
-    values = [value_of(cell) for cell in cells]
-    return None if None in values else values  # type: ignore[return-value]
+    values: list[float] = []
+    for cell in cells:
+        if (value := value_of(cell)) is None:
+            return None
+        values.append(value)
+    return values
 
 
 def value_of(cell: str) -> int | float | None:

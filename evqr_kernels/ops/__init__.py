@@ -49,6 +49,7 @@ takes seconds; they are kept on disk.
 Backends and devices agree with each other to rounding.
 """
 
+# what is taken is what __all__ of each module lists
 # ruff: noqa: F403
 from evqr_kernels.ops import codes, events, grids, images, normal, render
 from evqr_kernels.ops.codes import *

@@ -19,10 +19,32 @@ class Table:
 
     def __init__(self, columns):
         self._columns = columns
-        self.columns = list(columns)
+
+    @property
+    def columns(self):
+        return list(self._columns)
+
+    def __len__(self):
+        return len(self._columns["t"])
 
     def __getitem__(self, name):
         return self._columns[name]
+
+
+class Indexed(Table):
+    """One of pandas, with the times as its index."""
+
+    class index:
+        name = "t"
+
+    def reset_index(self):
+        return Table(COLUMNS)
+
+
+class Lazy:
+    """One of Polars that is not computed yet."""
+
+    columns = property(lambda self: list(COLUMNS))
 
 
 def structured():
@@ -49,6 +71,8 @@ def as_rows():
         COLUMNS,
         {"timestamp_us": EVENTS.t, "x": EVENTS.x, "y": EVENTS.y, "polarity": EVENTS.p},
         Table(COLUMNS),
+        Indexed({name: COLUMNS[name] for name in "xyp"}),
+        Table({name: values.astype(object) for name, values in COLUMNS.items()}),
         structured(),
         EVENTS,
     ],
@@ -60,6 +84,37 @@ def test_events_in_memory_are_read_whatever_holds_them(source):
     for name in "txyp":
         np.testing.assert_array_equal(getattr(got, name), getattr(EVENTS, name))
     assert (got.width, got.height) == SENSOR
+
+
+@pytest.mark.parametrize("unit", ["ns", "us", "ms"])
+@pytest.mark.parametrize("kind", ["m8", "M8"])
+def test_times_that_are_durations_or_dates_have_their_unit(kind, unit):
+    per_us = {"ns": 1000, "us": 1, "ms": 1}[unit]
+    times = (EVENTS.t * per_us).astype(f"{kind}[{unit}]")
+    for source in (Table({**COLUMNS, "t": times}), (times, EVENTS.x, EVENTS.y, EVENTS.p)):
+        with open_recording(source, sensor=SENSOR) as recording:
+            np.testing.assert_array_equal(recording.read().t, EVENTS.t * (1000 if unit == "ms" else 1))
+        assert recording.time_unit_reason.startswith("its times are ")
+
+
+def test_a_table_that_is_not_computed_is_a_type_error():
+    with pytest.raises(TypeError, match=r"got a Lazy that is not computed; pass \.collect\(\)$"):
+        open_recording(Lazy())
+
+
+@pytest.mark.parametrize("library", ["pandas", "polars", "pyarrow"])
+def test_tables_of(library):
+    """Where it is installed: they are larger than all that evqr needs, so the test extra leaves them out."""
+    module = pytest.importorskip(library)
+    made = module.table(COLUMNS) if library == "pyarrow" else module.DataFrame(COLUMNS)
+    tables = [made, made.set_index("t")] if library == "pandas" else [made]
+    for table in tables:
+        with open_recording(table, sensor=SENSOR, time_unit="us") as recording:
+            np.testing.assert_array_equal(recording.read().t, EVENTS.t)
+        assert len(list(evqr.read_many(table, sensor=SENSOR, time_unit="us"))) == 1
+    if library == "polars":
+        with pytest.raises(TypeError, match="got a LazyFrame that is not computed"):
+            open_recording(made.lazy())
 
 
 def test_a_dict_may_hold_the_size_of_the_sensor():
@@ -145,7 +200,7 @@ def test_read_many_of_no_source_is_refused():
 def test_read_many_takes_one_source(tmp_path, monkeypatch):
     monkeypatch.setattr("evqr.offline.read_codes", lambda source, **options: sample_results.read_result())
     path = sample_results.recording(tmp_path / "a.h5")
-    for source in (str(path), path, EVENTS, structured(), COLUMNS):
+    for source in (str(path), path, EVENTS, structured(), COLUMNS, Table(COLUMNS)):
         assert len(list(evqr.read_many(source))) == 1
     assert len(list(evqr.read_many([path, path]))) == 2
 
