@@ -338,11 +338,14 @@ class Reader:
         """Give events of any kind as columns, in the unit that the intake expects."""
         if isinstance(events, PackedEvents):
             return _unpacked(events, self._intake.known_us or 0)
-        if isinstance(events, EventArray) and (events.width, events.height) != self._size:
-            width, height = self._size
-            raise RecordingError(
-                f"events must be of a sensor {width}x{height}, got {events.width}x{events.height}"
-            )
+        self._intake.unit = "us"
+        if isinstance(events, EventArray):
+            if (events.width, events.height) != self._size:
+                size = "{}x{}".format(*self._size)
+                raise RecordingError(f"events must be of a sensor {size}, got {events.width}x{events.height}")
+            return RawColumns(events.t, events.x, events.y, events.p)
+        if isinstance(events, RawColumns):
+            return events
         source = open_arrays(events, Asked(sensor=self._size))
         declared = source.unit
         self._intake.unit = declared.unit if isinstance(declared, DeclaredUnit) else self._unit

@@ -149,6 +149,17 @@ class ClockWatch:
             self._trust_waiting(ready)
         return count
 
+    def follows(self, first_us: int, last_us: int, count: int) -> bool:
+        """Take note of events in order of time that go on where the clock is; False where they do not."""
+        if self._waiting or self._newest is None:
+            return False
+        first_us, last_us = first_us + self._shift_us, last_us + self._shift_us
+        if first_us < self._newest or last_us - self._newest > MAX_DISORDER_US:
+            return False
+        self._newest = last_us
+        self._arrived += count
+        return True
+
     def reached(self, time_us: int) -> list[EventArray]:
         """Take it from elsewhere that the clock has reached a time; return what can be trusted by that."""
         ready: list[EventArray] = []

@@ -19,6 +19,9 @@ from .declared import TimeUnit
 from .faults import Faults
 from .source import RawColumns
 
+KINDS = tuple(np.dtype(kind) for kind in (np.int64, np.uint16, np.uint16, np.int8))
+"""Of columns that need not be converted."""
+
 Incoming: TypeAlias = "EventArray | Reset"
 """Events in order of time; or that those behind are of a clock that was reset."""
 
@@ -89,9 +92,37 @@ class LiveIntake:
         incoming : EventArray or Reset
             What nothing can precede any more.
         """
-        events = self._checker(raw)
-        if len(events):
+        events = self._right(raw) or self._checker(raw)
+        if not len(events):
+            return
+        first_us, last_us = int(events.t[0]), int(events.t[-1])
+        known_us = -1 if self.known_us is None else self.known_us
+        ascending = first_us >= known_us and bool((events.t[1:] >= events.t[:-1]).all())
+        if not ascending or not self._clock.follows(first_us, last_us, len(events)):
             yield from self._trusted(self._clock.push(events))
+        elif self._disorder_us:
+            yield from self._sorted(events)
+        else:  # usual, and quick
+            self._newest = self.known_us = last_us
+            yield events
+
+    def _right(self, raw: RawColumns) -> EventArray | None:
+        """Take columns as they are where that can be seen quickly; None where they must be looked at."""
+        width, height = self._checker.width, self._checker.height
+        kinds = tuple(column.dtype for column in raw)
+        if (
+            kinds != KINDS
+            or self.unit != "us"
+            or len({len(column) for column in raw}) > 1
+            or not len(raw.t)
+            or raw.x.max() >= width
+            or raw.y.max() >= height
+            or raw.t.min() < 0
+            or not (raw.p * raw.p == 1).all()
+        ):
+            return None
+        self.faults.met += len(raw.t)
+        return EventArray(*raw, width, height)
 
     def advance(self, time_us: int) -> Iterator[Incoming]:
         """Say that the clock has reached a time, and that all events before it were pushed.
@@ -123,20 +154,19 @@ class LiveIntake:
                 reset = self._clock.resets.pop(0)
                 self._shift_us, self._newest, self.known_us = reset.shift_us, -1, None
                 yield reset
-            yield from self._sorted(part)
+            yield from self._sorted(_later(part, -self._shift_us))
 
     @staticmethod
     def _start_us(reset: Reset) -> int:
         return reset.after_us + reset.shift_us - MAX_DISORDER_US
 
     def _sorted(self, part: EventArray) -> Iterator[EventArray]:
-        t = part.t - self._shift_us if self._shift_us else part.t
+        t = part.t
         latest = np.maximum(np.maximum.accumulate(t), self._newest)
         in_time = latest - t <= self._disorder_us
         if self.known_us is not None and self.known_us > self._newest - self._disorder_us:
             in_time &= t >= self.known_us  # time was advanced further than events came
         self._newest = int(latest[-1])
-        part = EventArray(t, part.x, part.y, part.p, part.width, part.height)
         if not in_time.all():
             count = int(np.count_nonzero(~in_time))
             first = int(t[np.argmin(in_time)])
@@ -165,6 +195,12 @@ class LiveIntake:
     def _know(self, time_us: int) -> None:
         if self.known_us is None or time_us > self.known_us:
             self.known_us = time_us
+
+
+def _later(events: EventArray, by_us: int) -> EventArray:
+    if not by_us:
+        return events
+    return EventArray(events.t + by_us, events.x, events.y, events.p, events.width, events.height)
 
 
 def _picked(events: EventArray, which: np.ndarray) -> EventArray:

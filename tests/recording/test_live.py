@@ -146,3 +146,28 @@ def test_how_events_are_cut_does_not_matter(steps, late, cuts, disorder_us):
     assert expected == sorted(expected)
     newest = np.maximum.accumulate(times)
     assert expected == sorted(t for t, most in zip(times, newest, strict=True) if most - t <= disorder_us)
+
+
+def test_columns_that_are_right_are_taken_as_they_are():
+    """And are no less checked: what only looks right is left out."""
+    intake = intake_of()
+    assert taken(intake, STEADY, end=False) == STEADY
+    columns = raw([1_300, 1_310])
+    (events,) = intake.push(columns)
+    assert events.t is columns.t and intake.known_us == 1_310
+    for wrong in (
+        columns._replace(t=columns.t + 10, x=np.array([5, 64], np.uint16)),
+        columns._replace(t=columns.t + 20, y=np.array([48, 5], np.uint16)),
+        columns._replace(t=columns.t + 30, p=np.array([1, 2], np.int8)),
+        columns._replace(t=np.array([-5, 1_350])),
+    ):
+        assert sum(map(len, intake.push(wrong))) == 1
+    assert intake.faults.left_out == 4 and intake.faults.met == 30
+    assert taken(intake, [1_400, 1_390], end=False) == [1_400]
+
+
+def test_a_reset_is_seen_behind_columns_that_are_right():
+    intake = intake_of(disorder_us=20)
+    first, second = [t + 900_000 for t in STEADY], list(range(0, 60_000, 1_000))
+    out = taken(intake, first, second[:30], second[30:], [60_000, 60_001])
+    assert [each for each in out if not isinstance(each, Reset)] == [*first, *second, 60_000, 60_001]
