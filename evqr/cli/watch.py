@@ -173,7 +173,7 @@ def _print(*, example: bool) -> int:
 
 def _serve(path: str, *, check: bool, as_json: bool) -> int:
     """Run a service until it is told to stop, or its source ends."""
-    from evqr.service.logs import log_as_json
+    from evqr.service.logs import logged_as_json
     from evqr.service.service import Service, sinks_of
     from evqr.service.settings import load_settings
 
@@ -184,10 +184,9 @@ def _serve(path: str, *, check: bool, as_json: bool) -> int:
         click.echo(f"{path}: all is well")
         return OK
     options.prepare(settings.backend, settings.device)
-    log_as_json()
     out = (lambda record: click.echo(json_line(record))) if as_json else (lambda record: None)
     service = Service(settings, jobs, out=out)
-    with _stopped_by_sigterm(service) as stopped:
+    with logged_as_json(), _stopped_by_sigterm(service) as stopped:
         read = service.run()
     return OK if read or stopped else NOTHING
 

@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import logging
 import sys
+from collections.abc import Iterator
+from contextlib import contextmanager
 from datetime import datetime, timezone
 
 from evqr.values import json_line
@@ -26,13 +28,21 @@ class JsonFormatter(logging.Formatter):
         return json_line(line)
 
 
-def log_as_json() -> None:
-    """Let our packages log so, from information on; others from warnings on."""
+@contextmanager
+def logged_as_json() -> Iterator[None]:
+    """Log so inside: our packages from information on, others from warnings on, and nothing twice."""
     handler = logging.StreamHandler(sys.stderr)
     handler.setFormatter(JsonFormatter())
-    root = logging.getLogger()
-    root.handlers[:] = [handler]
-    for name in ("evqr", "evqr_kernels"):
-        ours = logging.getLogger(name)
-        ours.handlers.clear()
-        ours.setLevel(logging.INFO)
+    root, *ours = (logging.getLogger(name) for name in ("", "evqr", "evqr_kernels"))
+    before = [(logger, logger.handlers[:], logger.level) for logger in ours]
+    root.addHandler(handler)
+    for logger in ours:
+        logger.handlers.clear()
+        logger.setLevel(logging.INFO)
+    try:
+        yield
+    finally:
+        root.removeHandler(handler)
+        for logger, handlers, level in before:
+            logger.handlers[:] = handlers
+            logger.setLevel(level)

@@ -31,8 +31,9 @@ ELSEWHERE = (
     re.compile(r'python3 -m venv \.venv && \.venv/bin/pip install -q -e "\.\[\w+\]"( && \.venv/bin/.*)?'),
     re.compile(r'(\.venv/bin/)?pip install (-e )?"(evqr|\.)(\[[\w,]+\])?"'),
     re.compile(r"\.venv/bin/evqr demo"),
+    re.compile(r"podman .*"),
 )
-"""Lines that install, or run what was installed: `.ci/run` does that."""
+"""Lines that install, or run what was installed or built: `.ci/run` does that."""
 
 
 def blocks_of(page):
