@@ -16,7 +16,7 @@ def deposit_events(x, y, t, weight, window_ptr, motion, frame, deposit_out) -> N
 def deposit_window(x, y, t, weight, motion, frame, deposit_out) -> None:
     """Share the events of one window among the cells (2, Y, X) around them; accumulates."""
     events, cells = shares_of(x, y, t, weight, motion, frame, deposit_out.shape)
-    for place, share in cells:
+    for place, share, _, _ in cells:
         np.add.at(deposit_out, place, weight[events] * share)
 
 
@@ -38,7 +38,10 @@ def lag_operator(deposit, deposit_idx, direction, lag, taps, extent, rows_out, i
 
 
 def shares_of(x, y, t, weight, motion, frame, shape) -> tuple[NDArray, list]:
-    """Events of a window that lie between cells, and for the four around: (image, row, column), share."""
+    """Events of a window that lie between cells, and what each of the four around them gets.
+
+    Of a cell: (image, row, column), share, and how the share grows with the event's column and row.
+    """
     _, height, width = shape
     half = motion.dtype.type(0.5)
     cx = (x - t * motion[0] - frame[0] + half) / frame[2] - half
@@ -50,7 +53,7 @@ def shares_of(x, y, t, weight, motion, frame, shape) -> tuple[NDArray, list]:
     fx, fy = cx - column, cy - row
     image = (weight[events] < 0).astype(int)
     return events, [
-        ((image, row + dy, column + dx), share_y * share_x)
+        ((image, row + dy, column + dx), share_y * share_x, share_y * (2 * dx - 1), share_x * (2 * dy - 1))
         for dy, share_y in ((0, 1 - fy), (1, fy))
         for dx, share_x in ((0, 1 - fx), (1, fx))
     ]

@@ -7,16 +7,23 @@ import numpy as np
 from evqr_kernels.numpy_backend.lag import filtered, shares_of
 
 
-def deposit_events_adjoint(x, y, t, weight, window_ptr, motion, frame, adj_deposit, adj_weight_out) -> None:
-    """Adjoint of `deposit_events` in the weights; overwrites."""
-    adj_weight_out[:] = 0
+def deposit_events_adjoint(
+    x, y, t, weight, window_ptr, motion, frame, adj_deposit, adj_weight_out, adj_x_out, adj_y_out
+) -> None:
+    """Adjoint of `deposit_events` in weights and positions; overwrites."""
+    for out in (adj_weight_out, adj_x_out, adj_y_out):
+        out[:] = 0
     for b in range(len(motion)):
         part = slice(window_ptr[b], window_ptr[b + 1])
         events, cells = shares_of(
             x[part], y[part], t[part], weight[part], motion[b], frame[b], adj_deposit[b].shape
         )
-        for place, share in cells:
-            adj_weight_out[part][events] += share * adj_deposit[b][place]
+        factor = weight[part][events] / frame[b, 2]
+        for place, share, slope_x, slope_y in cells:
+            adj = adj_deposit[b][place]
+            adj_weight_out[part][events] += share * adj
+            adj_x_out[part][events] += factor * slope_x * adj
+            adj_y_out[part][events] += factor * slope_y * adj
 
 
 def lag_operator_adjoint(

@@ -150,6 +150,8 @@ OPERATIONS = (
             *DEPOSITED,
             floats("adj_deposit", "B", 2, "Y", "X"),
             overwritten("adj_weight_out", "E"),
+            overwritten("adj_x_out", "E"),
+            overwritten("adj_y_out", "E"),
         ),
         check_values=_relative_times,
     ),

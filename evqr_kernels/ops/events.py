@@ -226,8 +226,8 @@ def deposit_events(
 def deposit_events_adjoint(
     x: Floats, y: Floats, t: Floats, weight: Floats, window_ptr: Ints, motion: Floats, adj_deposit: Floats, *,
     frame: Floats | None = None, backend: str = "auto", device: str | None = None,
-) -> Floats:  # fmt: skip
-    """Adjoint of `deposit_events` in weight, while the signs of the weights stay.
+) -> tuple[Floats, Floats, Floats]:  # fmt: skip
+    """Adjoint of `deposit_events` in weight and position, while the signs of the weights stay.
 
     Parameters
     ----------
@@ -242,6 +242,9 @@ def deposit_events_adjoint(
     -------
     adj_weight : (E,) float [loss / weight]
         Derivative of the loss with respect to ``weight``; 0 for events that were dropped.
+    adj_x, adj_y : (E,) float [loss / px]
+        Derivatives of the loss with respect to ``x`` and ``y``; at a cell's centre, those of its later side.
+        Whatever warp has made the positions, its own derivatives take them on.
 
     Raises
     ------

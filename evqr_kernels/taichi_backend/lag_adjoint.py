@@ -3,7 +3,7 @@
 from functools import cache
 
 from evqr_kernels.taichi_backend.language import array, float_of, is_on_cpu, ti
-from evqr_kernels.taichi_backend.launches import launch
+from evqr_kernels.taichi_backend.launches import clear, launch
 from evqr_kernels.taichi_backend.transport import make_transport
 
 
@@ -37,39 +37,53 @@ def make_deposit_events_adjoint(dtype):
         frame: array(dtype, 2),
         adj_deposit: array(dtype, 4),
         adj_weight_out: array(dtype, 1),
+        adj_x_out: array(dtype, 1),
+        adj_y_out: array(dtype, 1),
     ):
         for e in range(adj_weight_out.shape[0]):
+            adj_weight_out[e] = dtype(0.0)
+            adj_x_out[e] = dtype(0.0)
+            adj_y_out[e] = dtype(0.0)
             b = window_of(window_ptr, e)
             if b < 0 or b >= adj_deposit.shape[0]:
-                adj_weight_out[e] = dtype(0.0)
                 continue
             inverse_scale = dtype(1.0) / frame[b, 2]
             cx = transport(x[e], t[e], motion[b, 0], frame[b, 0], inverse_scale)
             cy = transport(y[e], t[e], motion[b, 1], frame[b, 1], inverse_scale)
             right = dtype(adj_deposit.shape[3] - 1)
             bottom = dtype(adj_deposit.shape[2] - 1)
-            adj = dtype(0.0)
             # written so that it is false for NaN
             if cx >= dtype(0.0) and cy >= dtype(0.0) and cx < right and cy < bottom:
                 column = int(cx)
                 row = int(cy)
                 fx = cx - dtype(column)
                 fy = cy - dtype(row)
-                image = ti.select(weight[e] < dtype(0.0), 1, 0)
-                for j in range(2):
-                    share_y = ti.select(j == 0, dtype(1.0) - fy, fy)
-                    for i in range(2):
-                        share_x = ti.select(i == 0, dtype(1.0) - fx, fx)
-                        adj += share_x * share_y * adj_deposit[b, image, row + j, column + i]
-            adj_weight_out[e] = adj
+                w = weight[e]
+                image = ti.select(w < dtype(0.0), 1, 0)
+                left = adj_deposit[b, image, row, column]
+                right_of = adj_deposit[b, image, row, column + 1]
+                left_grown = adj_deposit[b, image, row + 1, column] - left
+                right_grown = adj_deposit[b, image, row + 1, column + 1] - right_of
+                left += fy * left_grown
+                along = right_of + fy * right_grown - left
+                factor = w * inverse_scale
+                adj_weight_out[e] = left + fx * along
+                adj_x_out[e] = factor * along
+                adj_y_out[e] = factor * (left_grown + fx * (right_grown - left_grown))
 
     return deposit_events_adjoint
 
 
-def deposit_events_adjoint(x, y, t, weight, window_ptr, motion, frame, adj_deposit, adj_weight_out) -> None:
+def deposit_events_adjoint(
+    x, y, t, weight, window_ptr, motion, frame, adj_deposit, adj_weight_out, adj_x_out, adj_y_out
+) -> None:
     """Launch; overwrites."""
-    kernel = make_deposit_events_adjoint(float_of(x))
-    launch(kernel, x, y, t, weight, window_ptr, motion, frame, adj_deposit, adj_weight_out)
+    kernel, outputs = make_deposit_events_adjoint(float_of(x)), (adj_weight_out, adj_x_out, adj_y_out)
+    if 0 in adj_deposit.shape:  # no cell to read
+        for output in outputs:
+            clear(output)
+        return
+    launch(kernel, x, y, t, weight, window_ptr, motion, frame, adj_deposit, *outputs)
 
 
 @cache

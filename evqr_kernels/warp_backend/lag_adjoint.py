@@ -1,8 +1,9 @@
-"""Adjoints of ``deposit_events`` in the weights and of ``lag_operator`` in the deposit; see ``lag.py``.
+"""Adjoints of ``deposit_events`` in weight and position, of ``lag_operator`` in the deposit; see ``lag.py``.
 
-With adj = d loss / d deposit, p the sign of the event and T the share that a cell gets of it:
+With adj = d loss / d deposit, p the sign of the event and T the share that a cell gets of it, which is
+bilinear in the event's place between the four cells:
 
-    adj_w_i = sum_x adj_p(x) T(x - c_i)
+    adj_w_i = sum_x adj_p(x) T(x - c_i),     adj_x_i = -w_i / scale sum_x adj_p(x) dT / dx (x - c_i)
 
 With adj_n = d loss / d image_n, 0 nearer to the border of its extent than the taps reach, and all shifts
 reversed: columns first, ``along_n(y) = sum_j b_j adj_n(y - j)`` and
@@ -24,7 +25,8 @@ from evqr_kernels.warp_backend.transport import is_named, make_transport, window
 
 @cache
 def make_deposit_events_adjoint(dtype: type) -> wp.Kernel:
-    """Build the kernel; launch: one thread per event."""
+    """Build the kernel; launch: one thread per event.  ``pairs``: `neighbours` of the deposit's adjoint."""
+    vec_pair = vector(2, dtype)
     transport = make_transport(dtype)
 
     @wp.kernel(module=module_of("lag_adjoint", dtype))
@@ -36,46 +38,52 @@ def make_deposit_events_adjoint(dtype: type) -> wp.Kernel:
         window_ptr: wp.array(dtype=wp.int32),
         motion: wp.array2d(dtype=dtype),
         frame: wp.array2d(dtype=dtype),
-        adj_deposit: wp.array4d(dtype=dtype),
+        pairs: wp.array4d(dtype=vec_pair),
         adj_weight_out: wp.array(dtype=dtype),
+        adj_x_out: wp.array(dtype=dtype),
+        adj_y_out: wp.array(dtype=dtype),
     ):
         e = wp.tid()
+        adj_weight_out[e] = dtype(0.0)
+        adj_x_out[e] = dtype(0.0)
+        adj_y_out[e] = dtype(0.0)
         if not is_named(window_ptr, e):
-            adj_weight_out[e] = dtype(0.0)
             return
         b = window_of(window_ptr, e)
         inverse_scale = dtype(1.0) / frame[b, 2]
         cx = transport(x[e], t[e], motion[b, 0], frame[b, 0], inverse_scale)
         cy = transport(y[e], t[e], motion[b, 1], frame[b, 1], inverse_scale)
-        right = dtype(adj_deposit.shape[3] - 1)
-        bottom = dtype(adj_deposit.shape[2] - 1)
-        adj = dtype(0.0)
+        right = dtype(pairs.shape[3])
+        bottom = dtype(pairs.shape[2] - 1)
         # written so that it is false for NaN
         if cx >= dtype(0.0) and cy >= dtype(0.0) and cx < right and cy < bottom:
             column = int(cx)
             row = int(cy)
             fx = cx - dtype(column)
             fy = cy - dtype(row)
-            image = wp.int32(0)
-            if weight[e] < dtype(0.0):
-                image = wp.int32(1)
-            for j in range(2):
-                share_y = wp.where(j == 0, dtype(1.0) - fy, fy)
-                for i in range(2):
-                    share_x = wp.where(i == 0, dtype(1.0) - fx, fx)
-                    adj += share_x * share_y * adj_deposit[b, image, row + j, column + i]
-        adj_weight_out[e] = adj
+            w = weight[e]
+            image = wp.where(w < dtype(0.0), 1, 0)
+            above = pairs[b, image, row, column]
+            grown = pairs[b, image, row + 1, column] - above
+            both = above + fy * grown
+            along = both[1] - both[0]
+            factor = w * inverse_scale
+            adj_weight_out[e] = both[0] + fx * along
+            adj_x_out[e] = factor * along
+            adj_y_out[e] = factor * (grown[0] + fx * (grown[1] - grown[0]))
 
     return deposit_events_adjoint
 
 
-def deposit_events_adjoint(x, y, t, weight, window_ptr, motion, frame, adj_deposit, adj_weight_out) -> None:
+def deposit_events_adjoint(
+    x, y, t, weight, window_ptr, motion, frame, adj_deposit, adj_weight_out, adj_x_out, adj_y_out
+) -> None:
     """Launch; overwrites."""
     launch(
         make_deposit_events_adjoint(x.dtype),
         x.shape[0],
-        inputs=[x, y, t, weight, window_ptr, motion, frame, adj_deposit],
-        outputs=[adj_weight_out],
+        inputs=[x, y, t, weight, window_ptr, motion, frame, neighbours(adj_deposit, 2)],
+        outputs=[adj_weight_out, adj_x_out, adj_y_out],
         device=x.device,
     )
 

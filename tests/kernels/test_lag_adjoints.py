@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from . import cases
-from .helpers import assert_adjoint, assert_close, filled
+from .helpers import assert_adjoint, assert_close, assert_differences, filled
 
 
 def test_deposit_in_the_weights(placed, dtype, rng):
@@ -13,9 +13,29 @@ def test_deposit_in_the_weights(placed, dtype, rng):
     call.inputs[0][7] = np.nan
     call.outputs[0][:] = 0
     back.inputs[:7] = call.inputs
-    (deposit,), (adj_weight,) = call.run(placed), back.run(placed)
+    (deposit,), (adj_weight, *adj_positions) = call.run(placed), back.run(placed)
     assert_adjoint(deposit, back.inputs[7], call.inputs[3], adj_weight)
-    assert adj_weight[7] == 0
+    assert adj_weight[7] == adj_positions[0][7] == adj_positions[1][7] == 0
+
+
+@pytest.mark.parametrize("axis", [0, 1])
+def test_deposit_in_the_positions(axis, placed, rng):
+    """By differences; no event within a thousandth of a cell of the next, where the slope jumps."""
+    call, back = cases.deposit_events(rng, np.float64), cases.deposit_events_adjoint(rng, np.float64)
+    x, y, t, _, ptr, motion, frame = call.inputs
+    window = np.repeat(np.arange(cases.B), np.diff(ptr))
+    origin, scale = frame[window, axis], frame[window, 2]
+    places = (x, y)[axis]
+    at = (places - t * motion[window, axis] - origin + 0.5) / scale - 0.5
+    places += scale * (np.floor(at) + 0.002 + 0.996 * (at % 1) - at)
+    back.inputs[:7] = call.inputs
+    gradient = back.run(placed)[1 + axis]
+
+    def loss(places):
+        call.inputs[axis] = places
+        return np.vdot(call.run(placed)[0], back.inputs[7])
+
+    assert_differences(loss, places.copy(), gradient, rng.normal(size=(3, len(x))))
 
 
 def test_deposit_in_one_weight_reads_its_own_image(placed, dtype):
@@ -26,21 +46,23 @@ def test_deposit_in_one_weight_reads_its_own_image(placed, dtype):
     adj[0, 1] = -10 * np.arange(6)[:, None]
     inputs = [place, place + 1, none, np.array([2, -3], dtype), np.array([0, 2], np.int32)]
     inputs += [np.zeros((1, 2), dtype), np.array([[0, 0, 1]], dtype), adj]
-    (adj_weight,) = placed("deposit_events_adjoint", inputs, [filled(2, dtype)])
+    adj_weight, adj_x, adj_y = placed("deposit_events_adjoint", inputs, [filled(2, dtype) for _ in range(3)])
     np.testing.assert_allclose(adj_weight, [2.25, -32.5], rtol=1e-6)
+    np.testing.assert_allclose([adj_x, adj_y], [[2, 0], [0, 30]], atol=1e-4)
 
 
 @pytest.mark.parametrize("bad", [-1e9, 1e9, np.nan, np.inf])
 def test_weights_of_events_off_the_image(bad, placed, dtype, rng):
     back = cases.deposit_events_adjoint(rng, dtype)
     back.inputs[1][:] = bad
-    np.testing.assert_array_equal(back.run(placed)[0], 0)
+    for adjoint in back.run(placed):
+        np.testing.assert_array_equal(adjoint, 0)
 
 
 def test_weights_of_no_events(placed, dtype, rng):
     back = cases.deposit_events_adjoint(rng, dtype)
     back.inputs[:5] = [*(column[:0] for column in back.inputs[:4]), np.zeros(cases.B + 1, np.int32)]
-    back.outputs[0] = filled(0, dtype)
+    back.outputs = [filled(0, dtype) for _ in range(3)]
     assert back.run(placed)[0].shape == (0,)
 
 
