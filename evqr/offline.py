@@ -36,6 +36,7 @@ from evqr.work import (
     Solve,
     Working,
     answer,
+    decoded,
     moving_at,
     together,
     with_windows,
@@ -119,7 +120,7 @@ def read_codes(
         with clock(ONE_TIME):
             solvers, pool = _solvers(threads, stack, config=config, backend=backend, device=device)
         reading = reading_codes(recording, path, solvers, started, pool=pool, progress=progress, clock=clock)
-        return answer(reading, solvers[0])
+        return answer(reading, solvers[0], pool)
 
 
 def reading_codes(
@@ -517,10 +518,12 @@ def _codes(found: Sequence[Detection], solver: Solver, clock: StageClock) -> Wor
     """Read codes that were found in a window."""
     decode = solver.config.decode
     estimates = yield [Solve(code, clock) for code in found]
-    outcomes = yield [
-        Decode(estimate.q, code.space, decode, "full", clock)
-        for code, estimate in zip(found, estimates, strict=True)
-    ]
+    outcomes = yield from decoded(
+        [
+            Decode(estimate.q, code.space, decode, "full", clock)
+            for code, estimate in zip(found, estimates, strict=True)
+        ]
+    )
     return [_window_code(*one) for one in zip(found, estimates, outcomes, strict=True)]
 
 

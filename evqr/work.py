@@ -9,7 +9,8 @@ Answers do not depend on what they are computed beside, so neither does what any
 
 from __future__ import annotations
 
-from collections.abc import Callable, Generator, Iterable, Sequence
+from collections.abc import Callable, Generator, Iterable, Mapping, Sequence
+from concurrent.futures import Executor, Future
 from typing import Any, NamedTuple, TypeAlias, TypeVar
 
 import numpy as np
@@ -25,11 +26,14 @@ from evqr.fit.modules import NormalEquations
 from evqr.motion import Motion
 from evqr.search.motion_estimate import MotionEstimate, Probe, QuietSpells, motion_probes
 from evqr.solver import Solver, timed
-from evqr.symbol.decode import decode_grid
-from evqr.symbol.decoded import Effort
+from evqr.symbol.decode import are_valid, decode_grid
+from evqr.symbol.decoded import Decoded, DecodeFailure, Effort
 from evqr.symbol.space import CodeSpace
 
 T = TypeVar("T")
+
+Decoding: TypeAlias = "Future[tuple[Decoded | DecodeFailure, Mapping[str, float]]]"
+"""What a grid says and what it took by stage [ms]: worked out on another thread, or there already."""
 
 
 class Estimate(NamedTuple):
@@ -96,7 +100,7 @@ class Solve(NamedTuple):
 
 
 class Decode(NamedTuple):
-    """Ask what a grid says: Decoded or DecodeFailure.
+    """Ask for decoding a grid to begin: what an `Await` takes; `decoded` asks for both.
 
     Attributes
     ----------
@@ -119,10 +123,25 @@ class Decode(NamedTuple):
     clock: StageClock
 
 
-Work: TypeAlias = Estimate | Find | Follow | Solve | Decode
+class Await(NamedTuple):
+    """Ask for what a grid says: Decoded or DecodeFailure.
 
-KINDS = (Estimate, Find, Follow, Solve, Decode)
-"""Kinds of work, in the order of the stages."""
+    Attributes
+    ----------
+    decoding : Decoding
+        What a `Decode` was answered with.
+    clock : StageClock
+        To which the time is added, as "decode".
+    """
+
+    decoding: Decoding
+    clock: StageClock
+
+
+Work: TypeAlias = Estimate | Find | Follow | Solve | Decode | Await
+
+KINDS = (Estimate, Find, Follow, Solve, Decode, Await)
+"""Kinds of work, in the order of the stages: nobody waits for a grid while there is anything else to do."""
 
 Working: TypeAlias = Generator["list[Work]", "list[Any]", T]
 """Reading whose events are all here: it yields works of one kind and is sent their answers."""
@@ -165,6 +184,24 @@ def moving_at(
         (found,) = yield [Estimate(window, probe)]
         clock.add(found.timings_ms)
         answer = found if isinstance(found, MotionEstimate) else found.reason
+
+
+def decoded(works: list[Decode]) -> Working[list[Decoded | DecodeFailure]]:
+    """Have grids decoded, on other threads where there are some.
+
+    Parameters
+    ----------
+    works : list of Decode
+        Of the grids.
+
+    Returns
+    -------
+    outcomes : list of Decoded or DecodeFailure
+        One a grid.
+    """
+    decodings = yield [*works]
+    outcomes = yield [Await(one, work.clock) for one, work in zip(decodings, works, strict=True)]
+    return outcomes
 
 
 def with_windows(activity: Activity[T], events: EventBuffer) -> Working[T]:
@@ -237,7 +274,7 @@ def _kind(works: list[Work]) -> int:
     return KINDS.index(type(works[0])) if works else 0
 
 
-def answer(working: Working[T], solver: Solver) -> T:
+def answer(working: Working[T], solver: Solver, pool: Executor | None = None) -> T:
     """Do the work that somebody asks for who reads.
 
     Parameters
@@ -246,6 +283,8 @@ def answer(working: Working[T], solver: Solver) -> T:
         What is read.
     solver : Solver
         Does the work, in this thread.
+    pool : concurrent.futures.Executor, optional
+        Threads on which grids are decoded that take long.
 
     Returns
     -------
@@ -256,7 +295,7 @@ def answer(working: Working[T], solver: Solver) -> T:
         works = next(working)
         while True:
             try:
-                done = do(works, solver)
+                done = do(works, solver, pool)
             except Exception as error:
                 works = working.throw(error)
             else:
@@ -265,24 +304,22 @@ def answer(working: Working[T], solver: Solver) -> T:
         return end.value
 
 
-def do(works: list[Any], solver: Solver) -> list[Any]:
+def do(works: list[Any], solver: Solver, pool: Executor | None = None) -> list[Any]:
     """Do work.
 
     Parameters
     ----------
-    works : sequence of Estimate, Find, Follow, Solve or Decode
+    works : list of Estimate, Find, Follow, Solve, Decode or Await
         All of one kind.
-    solver : Solver
-        Does it, in this thread.
+    solver, pool : as for `answer`
+        The same.
 
     Returns
     -------
     answers : list
         One a work, as its kind says.
     """
-    if not works:
-        return []
-    kind = type(works[0])
+    kind = type(works[0]) if works else None
     if kind is Estimate:
         return _estimated(works, solver)
     if kind is Find:
@@ -296,12 +333,16 @@ def do(works: list[Any], solver: Solver) -> list[Any]:
         clock = StageClock()
         with clock("stage_two"):
             solved = solver.solve([work.equations for work in works])
-        _share(clock, works)
+        shares = {stage: ms / len(works) for stage, ms in clock.ms.items()}
+        for work in works:
+            work.clock.add(shares)
         return list(solved)
-    return [_decoded(work) for work in works]
+    if kind is Decode:
+        return _decodings(works, pool)
+    return [_awaited(work) for work in works]
 
 
-def _estimated(works: Sequence[Estimate], solver: Solver) -> list[MotionEstimate | NotFound]:
+def _estimated(works: list[Estimate], solver: Solver) -> list[MotionEstimate | NotFound]:
     """Estimate motions, those asked for in one way at once."""
     found: list[Any] = [None] * len(works)
     ways: dict[tuple[int | None, bool], list[int]] = {}
@@ -315,13 +356,32 @@ def _estimated(works: Sequence[Estimate], solver: Solver) -> list[MotionEstimate
     return found
 
 
-def _decoded(work: Decode) -> Any:
-    with work.clock("decode"):
-        return decode_grid(work.q, work.space, config=work.config, effort=work.effort)
+def _decodings(works: list[Decode], pool: Executor | None) -> list[Decoding]:
+    """Begin to decode grids: on other threads those that have errors."""
+    clean: Sequence[bool] = [True] * len(works)
+    if pool is not None:
+        clean = are_valid([work.q for work in works], [work.space for work in works])
+    return [
+        _now(_decode, work) if pool is None or at_once else pool.submit(_decode, work)
+        for work, at_once in zip(works, clean, strict=True)
+    ]
 
 
-def _share(clock: StageClock, works: Sequence[Solve]) -> None:
-    """Give each of some works its share of a time."""
-    shares = {stage: ms / len(works) for stage, ms in clock.ms.items()}
-    for work in works:
-        work.clock.add(shares)
+def _now(decode: Callable[[Decode], Any], work: Decode) -> Decoding:
+    """Give what comes of a work as if another thread had done it already."""
+    done: Decoding = Future()
+    done.set_result(decode(work))
+    return done
+
+
+def _decode(work: Decode) -> tuple[Decoded | DecodeFailure, Mapping[str, float]]:
+    clock = StageClock()
+    with clock("decode"):
+        outcome = decode_grid(work.q, work.space, config=work.config, effort=work.effort)
+    return outcome, clock.ms
+
+
+def _awaited(work: Await) -> Decoded | DecodeFailure:
+    outcome, timings_ms = work.decoding.result()
+    work.clock.add(timings_ms)
+    return outcome

@@ -1,15 +1,19 @@
 """Reading side by side: what is asked for of one stage is done at once, the earliest stage first."""
 
+import threading
+from concurrent.futures import ThreadPoolExecutor
 from typing import Any
 
 import numpy as np
 import pytest
+import segno
 
 from evqr.clock import StageClock
 from evqr.config import DecodeConfig
 from evqr.events.array import EventArray
 from evqr.events.buffer import EventBuffer
-from evqr.work import Decode, Estimate, Find, Follow, Solve, do, together, with_windows
+from evqr.symbol import qr
+from evqr.work import Decode, Estimate, Find, Follow, Solve, answer, decoded, do, together, with_windows
 
 NOBODY: Any = None
 """Stands in for a solver that is not asked."""
@@ -110,8 +114,77 @@ def test_windows_are_given_as_they_are_asked_for():
 
 
 def test_a_wrong_grid_is_refused_where_it_is_decoded():
-    from evqr.symbol import qr
-
     work = Decode(np.zeros((3, 3)), qr.space(1), DecodeConfig(), "full", StageClock())
     with pytest.raises(ValueError, match="q must have shape"):
         do([work], NOBODY)
+
+
+# ---- decoding
+
+
+class Noted(ThreadPoolExecutor):
+    """Threads that say how much they were asked to do, and begin only when they may."""
+
+    def __init__(self):
+        super().__init__(2)
+        self.asked, self.may = 0, threading.Event()
+
+    def submit(self, call, *given):
+        self.asked += 1
+        return super().submit(lambda: (self.may.wait(20), call(*given))[1])
+
+
+def grids(*signs):
+    """Grids of one symbol with noise, of which those that are told have an error."""
+    rng = np.random.default_rng(3)
+    made = np.where(np.array(segno.make("AHEAD", version=1, error="M", mask=0).matrix, bool), -1.0, 1.0)
+    for wrong in signs:
+        q = made * np.abs(rng.normal(1.0, 0.2, made.shape))
+        q[12, 12] *= -1.0 if wrong else 1.0
+        yield q
+
+
+def decodes(*signs):
+    clock = StageClock()
+    return [Decode(q, qr.space(1), DecodeConfig(), "full", clock) for q in grids(*signs)], clock
+
+
+def test_grids_with_errors_are_decoded_on_other_threads_and_nobody_waits_before_all_else_is_done():
+    works_, clock = decodes(False, True, True, False)
+    order = []
+
+    def reading():
+        outcomes = yield from decoded(works_)
+        order.append("decoded")
+        return outcomes
+
+    def other():
+        order.append((yield [Estimate(NOBODY)]))
+        order.append((yield [Solve(NOBODY, clock)]))
+        pool.may.set()
+
+    class Fast:
+        @staticmethod
+        def motions(windows, **_):
+            return ["motion"]
+
+        @staticmethod
+        def solve(equations):
+            return ["modules"]
+
+    with Noted() as pool:
+        solver: Any = Fast()
+        (outcomes, _) = answer(together([reading(), other()]), solver, pool)
+    assert pool.asked == 2
+    assert order == [["motion"], ["modules"], "decoded"]
+    assert [outcome.errors_corrected for outcome in outcomes] == [0, 1, 1, 0]
+    assert outcomes == answer(decoded(works_), NOBODY)  # as without threads
+    assert clock.ms["decode"] > 0.0
+
+
+def test_what_is_wrong_with_a_grid_is_raised_for_who_waits_for_it():
+    works_, _ = decodes(True)
+    wrong = works_[0]._replace(q=np.full((21, 21), np.nan))
+    with Noted() as pool, pytest.raises(ValueError, match="q must be finite"):
+        pool.may.set()
+        answer(decoded([wrong]), NOBODY, pool)

@@ -88,7 +88,7 @@ class StreamScheduler:
     width, height : int [px]
         Size of the sensor.
     pool : concurrent.futures.Executor, optional
-        Threads for searching with several solvers.
+        Threads for searching with several solvers, and for decoding grids that have errors.
 
     Attributes
     ----------
@@ -160,7 +160,7 @@ class StreamScheduler:
         records : list of StreamRecord
             What has become certain, in order.
         """
-        return answer(self.stepping(until_us), self._solver)
+        return answer(self.stepping(until_us), self._solver, self._pool)
 
     def stepping(self, until_us: int | None = None) -> Working[list[StreamRecord]]:
         """Do what `step` does, and leave the work to who runs it: with `together`, for many streams at once.
@@ -210,7 +210,7 @@ class StreamScheduler:
         records : list of StreamRecord
             The last ones.
         """
-        return answer(self.closing(), self._solver)
+        return answer(self.closing(), self._solver, self._pool)
 
     def closing(self) -> Working[list[StreamRecord]]:
         """Do what `close` does, and leave the work to who runs it, as `stepping`."""

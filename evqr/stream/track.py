@@ -20,7 +20,7 @@ from evqr.results import CodeReading
 from evqr.solver import Solver
 from evqr.stream.records import CodeUnread
 from evqr.symbol.decoded import Decoded, DecodeFailure
-from evqr.work import Decode, Find, Follow, Solve, Working
+from evqr.work import Decode, Find, Follow, Solve, Working, decoded
 
 T = TypeVar("T")
 
@@ -230,7 +230,8 @@ class Track:
         space = self.detection.space
         grids = 1 if self._tries == 1 or space.single_pattern else GRIDS
         config = self._solver.config.decode.among(grids)
-        (outcome,) = yield [Decode(estimate.q, space, config, "full" if full else "quick", self._clock)]
+        decode = Decode(estimate.q, space, config, "full" if full else "quick", self._clock)
+        (outcome,) = yield from decoded([decode])
         if isinstance(outcome, Decoded):
             self.reading = self._reading(outcome, estimate, windows)
         elif self.failure is None or windows == self.windows:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import replace
 
 import numpy as np
@@ -61,3 +62,30 @@ def decode_grid(
         if isinstance(mirrored, Decoded):
             return replace(mirrored, mirrored=True, modules=symbol.mirror(mirrored.modules))
     return outcome
+
+
+def are_valid(grids: Sequence[NDArray[np.floating]], spaces: Sequence[CodeSpace]) -> list[bool]:
+    """Tell which grids have no error, so that decoding them takes no time; those of a space all at once.
+
+    Parameters
+    ----------
+    grids : sequence of (V, U) float
+        As of `decode_grid`.
+    spaces : sequence of CodeSpace
+        Kind and size of each.
+
+    Returns
+    -------
+    valid : list of bool
+        False also where it cannot be told at once.
+    """
+    valid = [False] * len(grids)
+    of_space: dict[CodeSpace, list[int]] = {}
+    for k, (q, space) in enumerate(zip(grids, spaces, strict=True)):
+        if q.shape == space.known.shape:
+            of_space.setdefault(space, []).append(k)
+    for space, rows in of_space.items():
+        of_rows = SYMBOLS[space.symbology].valid(np.array([grids[k] for k in rows], np.float64), space)
+        for k, one in zip(rows, of_rows.tolist(), strict=True):
+            valid[k] = one
+    return valid

@@ -142,6 +142,14 @@ class CodewordLayout:
             for of_block in code.syndromes(codewords[where].reshape(count, -1))
         ]
 
+    def valid(self, codewords: NDArray[np.uint8]) -> NDArray[np.bool_]:
+        """Tell in which (B,) of the codewords (B, n) of symbols, as ``bits`` has them, none is wrong."""
+        valid = np.ones(len(codewords), np.bool_)
+        for code, where, count in self._alike:
+            syndromes = code.syndromes(codewords[:, where].reshape(len(codewords), count, -1))
+            valid &= ~syndromes.any(axis=(1, 2))
+        return valid
+
 
 @functools.cache
 @one_time()
@@ -271,11 +279,12 @@ def _masked(version: Version, level: ErrorLevel | None, mask: int) -> _Masked:
 def unmasked(
     q: NDArray[np.float64], version: Version, level: ErrorLevel | None, mask: int
 ) -> NDArray[np.float64]:
-    """Return the modules (8 n,) that carry the codewords' bits, the mask undone, of a grid (V, U).
+    """Return the modules (..., 8 n) that carry the codewords' bits, the mask undone, of grids (..., V, U).
 
     Bits that are not printed are 0.
     """
-    return q.ravel()[codeword_layout(version, level).bits] * _masked(version, level, mask).signs
+    flat = q.reshape(*q.shape[:-2], -1)
+    return flat[..., codeword_layout(version, level).bits] * _masked(version, level, mask).signs
 
 
 @functools.cache

@@ -109,6 +109,31 @@ def decode_words(
     return outcomes[0]
 
 
+def valid_words(q: NDArray[np.float64], space: CodeSpace) -> NDArray[np.bool_]:
+    """Tell in which of some grids no codeword is wrong: where their syndromes are 0, all at once.
+
+    Parameters
+    ----------
+    q : (B, V, U) float64
+        As of `evqr.symbol.decode.decode_grid`.
+    space : CodeSpace
+        Of a QR, Micro QR or rMQR code.
+
+    Returns
+    -------
+    (B,) bool
+        With the likeliest level and mask of each.
+    """
+    words, valid = format_words(space.version), np.zeros(len(q), np.bool_)
+    likeliest = np.einsum("bk,wk->bw", q.reshape(len(q), -1)[:, words.at], words.signs).argmax(axis=1)
+    for index in sorted(set(likeliest.tolist())):
+        level, mask = words.meaning[index]
+        rows = np.flatnonzero(likeliest == index)
+        codewords = np.packbits(unmasked(q[rows], space.version, level, mask) < 0.0, axis=-1)
+        valid[rows] = codeword_layout(space.version, level).valid(codewords)
+    return valid
+
+
 def _decode_format(
     q: NDArray[np.float64],
     space: CodeSpace,

@@ -16,8 +16,13 @@ from numpy.typing import NDArray
 from evqr.config import DecodeConfig
 from evqr.symbol import aztec, data_matrix, micro_qr, qr, rmqr
 from evqr.symbol.decoded import Decoded, DecodeFailure, Effort
+from evqr.symbol.qr_decode import valid_words
 from evqr.symbol.space import Anchor, CodeSpace, Timing, Version
 from evqr.symbology import Symbology
+
+
+def _none(q: NDArray[np.float64], space: CodeSpace) -> NDArray[np.bool_]:
+    return np.zeros(len(q), np.bool_)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -40,6 +45,9 @@ class Symbol:
     mirror : callable
         Gives the grid of the mirror image of a square symbol, which the known modules do not tell from it;
         its own inverse. Default: the transpose.
+    valid : callable
+        Tells of grids (B, V, U) float64 of a space, all at once, whose codewords (B,) bool have no error as
+        they are: those are decoded in no time. Default: of none.
     """
 
     sizes: Mapping[Any, tuple[int, int]]
@@ -48,12 +56,18 @@ class Symbol:
     space: Callable[[Any], CodeSpace]
     decode: Callable[[NDArray[np.float64], CodeSpace, DecodeConfig, Effort], Decoded | DecodeFailure]
     mirror: Callable[[NDArray], NDArray] = np.transpose
+    valid: Callable[[NDArray[np.float64], CodeSpace], NDArray[np.bool_]] = _none
 
 
 SYMBOLS: Mapping[Symbology, Symbol] = MappingProxyType(
     {
         Symbology.QR_CODE: Symbol(
-            sizes=qr.SIZES, anchors=qr.anchors, timing=qr.timing, space=qr.space, decode=qr.decode
+            sizes=qr.SIZES,
+            anchors=qr.anchors,
+            timing=qr.timing,
+            space=qr.space,
+            decode=qr.decode,
+            valid=valid_words,
         ),
         Symbology.MICRO_QR_CODE: Symbol(
             sizes=micro_qr.SIZES,
@@ -61,9 +75,15 @@ SYMBOLS: Mapping[Symbology, Symbol] = MappingProxyType(
             timing=micro_qr.timing,
             space=micro_qr.space,
             decode=micro_qr.decode,
+            valid=valid_words,
         ),
         Symbology.RMQR_CODE: Symbol(
-            sizes=rmqr.SIZES, anchors=rmqr.anchors, timing=rmqr.timing, space=rmqr.space, decode=rmqr.decode
+            sizes=rmqr.SIZES,
+            anchors=rmqr.anchors,
+            timing=rmqr.timing,
+            space=rmqr.space,
+            decode=rmqr.decode,
+            valid=valid_words,
         ),
         Symbology.DATA_MATRIX: Symbol(
             sizes=data_matrix.SIZES,

@@ -13,10 +13,11 @@ from hypothesis import strategies as st
 
 from evqr.config import DecodeConfig
 from evqr.reason import Reason
-from evqr.symbol import qr
+from evqr.symbol import data_matrix, micro_qr, qr, rmqr
+from evqr.symbol.decode import are_valid
 from evqr.symbol.decode import decode_grid as decode_space
 from evqr.symbol.decoded import Decoded, DecodeFailure
-from evqr.symbol.qr_codewords import codeword_layout, format_words, mask_signs, roles_of, symbol_of
+from evqr.symbol.qr_codewords import codeword_layout, format_words, levels_of, mask_signs, roles_of, symbol_of
 from evqr.symbol.qr_tables import LEVELS
 
 
@@ -460,3 +461,50 @@ def test_numbers_are_plain():
     assert isinstance(result, Decoded)
     assert type(result.log10_chance) is type(result.confidence) is float
     assert type(result.errors_corrected) is type(result.spare) is int
+
+
+# ---- many at once
+
+
+def test_grids_without_errors_are_told_all_at_once():
+    """Of several sizes and levels, one block and many, some with a wrong codeword in one block only."""
+    rng, grids, wrong = np.random.default_rng(5), [], []
+    for version, level in ((1, "L"), (5, "Q"), (5, "H"), (14, "M")):
+        for k in range(6):
+            q = noisy(make(f"{version}{level}{k}", version, level, mask=k), rng)
+            if k % 3 == 1:
+                block = codeword_layout(version, level).blocks[k % 2 - 1]
+                bits = codeword_layout(version, level).bits[block.bits]
+                q.ravel()[bits[rng.integers(len(bits))]] *= -1.0
+            grids.append(q)
+            wrong.append(k % 3 == 1)
+    valid = are_valid(grids, [qr.space(qr.version_of(len(q))) for q in grids])
+    assert valid == [not one for one in wrong]
+    for q, one in zip(grids, valid, strict=True):
+        assert (decode_grid(q).errors_corrected == 0) == one
+    order = rng.permutation(len(grids))
+    mixed = are_valid([grids[k] for k in order], [qr.space(qr.version_of(len(grids[k]))) for k in order])
+    assert mixed == [valid[k] for k in order]
+
+
+def test_what_cannot_be_told_at_once_is_not_said_to_be_without_errors():
+    square = data_matrix.space("10x10")
+    rng = np.random.default_rng(0)
+    assert are_valid([rng.normal(size=(10, 10))], [square]) == [False]
+    assert are_valid([np.ones((3, 3))], [qr.space(1)]) == [False]  # `decode_grid` says what is wrong
+    assert are_valid([], []) == []
+
+
+@pytest.mark.parametrize("version", ["M1", "M3", "M4", "R7x43", "R13x77"])
+def test_small_and_rectangular_symbols_are_told_too(version):
+    space = (micro_qr if version[0] == "M" else rmqr).space(version)
+    level = levels_of(version)[0]
+    layout = codeword_layout(version, level)
+    data = np.random.default_rng(1).integers(0, 256, len(layout.bits) // 8, dtype=np.uint8)
+    if layout.printed is not None:
+        data &= np.packbits(layout.printed)
+    words = np.concatenate([b.code.encode(data[b.codewords][: b.n_data]) for b in layout.blocks])
+    right = symbol_of(words, version, level, 0).astype(np.float64)
+    one_off = right.copy()
+    one_off.ravel()[layout.bits[3]] *= -1.0
+    assert are_valid([right, one_off, right], [space] * 3) == [True, False, True]
