@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import operator
 from collections import OrderedDict
 from collections.abc import Callable
 from functools import cached_property
@@ -268,10 +269,11 @@ class EventRoom:
     def load(self, batch: EventBatch) -> None:
         """Bring the events of a batch there, unless they are there already, alone or the first of more."""
         parts = batch.parts
-        if parts is self._parts:
-            return
-        if len(parts) == len(self._parts) == 1 and parts[0].begin(self._parts[0]):
-            return
+        if len(parts) == len(self._parts):
+            if all(map(operator.is_, parts, self._parts)) or (
+                len(parts) == 1 and parts[0].begin(self._parts[0])
+            ):
+                return
         self._parts, columns = parts, self._mirrors
         x, y, stamp = (mirror.host for mirror in columns)
         end = 0

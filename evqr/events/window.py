@@ -96,6 +96,25 @@ class Window:
         """Polarities (E,), -1 or +1."""
         return self.events.p.astype(np.float32)
 
+    def thinned(self, step: int) -> Window:
+        """Give the window with every n-th of its events.
+
+        Parameters
+        ----------
+        step : int
+            1 for all of them.
+
+        Returns
+        -------
+        window : Window
+            Of the same bounds; its events are views.
+        """
+        if step == 1:
+            return self
+        e, packed = self.events, self.packed
+        some = EventArray(e.t[::step], e.x[::step], e.y[::step], e.p[::step], e.width, e.height)
+        return Window(some, self.start_us, self.end_us, stamps=packed.stamp[::step])
+
     def keep(self, mask: NDArray[np.bool_]) -> Window:
         """Give the window with only some of its events.
 

@@ -19,12 +19,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from evqr.config import MotionConfig
+from evqr.events.batch import EventBatch
 from evqr.events.buffer import Asking
 from evqr.events.window import Window
 from evqr.motion import Motion
 from evqr.reason import Reason
 from evqr.values import Value
-from evqr.workspace import Staging, Workspace
+from evqr.workspace import EventRoom, Staging, Workspace
 from evqr_kernels.operations.images import taps_beside
 
 MOST_PROBES, LONGER = 4, 4
@@ -52,9 +53,6 @@ NOISE_SPREAD = 3.0
 LEAST_CELL_PX = 3
 """Cells from which counts tell noise from what moves: a pixel that has fired may not fire again so soon."""
 
-FEWEST_ROOM = 1 << 12
-"""Room for events grows from this in powers of two, so that launches recorded for it are used again."""
-
 BYTES_A_CELL = 20
 """Bytes of all arrays, a binned pixel of a window. Measured."""
 
@@ -79,15 +77,13 @@ class MotionEstimate(Value):
 
 
 class _Correlator:
-    """Correlates the halves of so many windows with room for so many events, over one square of shifts."""
+    """Correlates the halves of so many windows, over one square of shifts."""
 
     def __init__(
-        self, count: int, room: int, height: int, width: int, reduction: int, radius: int, half: float,
-        cfg: MotionConfig, workspace: Workspace,
+        self, events: EventRoom, count: int, height: int, width: int, reduction: int, radius: int,
+        half: float, cfg: MotionConfig, workspace: Workspace,
     ) -> None:  # fmt: skip
         backend, shifts, staging = workspace.backend, 2 * radius + 1, Staging(workspace)
-        self._x, self._y = (staging.input((room,), np.uint16) for _ in range(2))
-        self._stamp = staging.input((room,), np.uint32)
         self._ptr, self._quiet = staging.input((2 * count, 2), np.int32), staging.input((count, 2))
         self._peak, self._energy = staging.output((count, 3)), staging.output((count, 2))
         halves = workspace.empty(2 * count, height, width)
@@ -95,11 +91,11 @@ class _Correlator:
         scratch = workspace.scratch("motion_correlation", B=count, Y=height, X=width, radius=radius)
         surface = workspace.empty(count, shifts, shifts)
         blurred = workspace.scratch("surface_peak", B=count, N=shifts)
-        events = self._x.device, self._y.device, self._stamp.device, self._ptr.device
+        columns = events.x, events.y, events.stamp, self._ptr.device
 
         def launch() -> None:
             backend.clear(halves)
-            backend.bin_packed_events(*events, reduction, halves)
+            backend.bin_packed_events(*columns, reduction, halves)
             backend.motion_correlation(
                 pairs, self._quiet.device, cfg.clip, radius, *scratch, surface, self._energy.device
             )
@@ -107,21 +103,19 @@ class _Correlator:
 
         self._run, self._reduction = staging.sequence(launch), reduction
 
-    def __call__(self, samples: Sequence[_Sample]) -> list[tuple[NDArray[np.float64], float]]:
-        """Give each window's shift (x, y) of highest correlation [binned px], and that correlation."""
-        first = 0
-        self._ptr.host[2 * len(samples) :] = 0
+    def __call__(
+        self, samples: Sequence[_Sample], batch: EventBatch
+    ) -> list[tuple[NDArray[np.float64], float]]:
+        """Give each sample's shift (x, y) of highest correlation [binned px], and that correlation."""
         self._quiet.host[...] = 0.0
-        for k, sample in enumerate(samples):
-            events, step = sample.window.events, sample.step
-            middle, last = first + sample.middle, first + sample.count
-            self._ptr.host[2 * k : 2 * k + 2] = (first, middle), (middle, last)
-            self._x.host[first:last], self._y.host[first:last] = events.x[::step], events.y[::step]
-            on = np.greater(events.p[::step], 0, out=self._stamp.host[first:last])
+        halves: list[tuple[int, int]] = []
+        for k, (sample, (first, last)) in enumerate(zip(samples, batch.window_ptr.tolist(), strict=True)):
+            middle = first + sample.middle
+            halves += (first, middle), (middle, last)
             if self._reduction >= LEAST_CELL_PX:
-                n_on = int(np.count_nonzero(on))
-                self._quiet.host[k] = _noise_squares(sample.count, n_on, sample.window, self._reduction)
-            first = last
+                on = int(np.count_nonzero(sample.window.events.p > 0))
+                self._quiet.host[k] = _noise_squares(last - first, on, sample.window, self._reduction)
+        self._ptr.fill(halves)
         self._run()
         peaks, energies = self._peak.read().tolist(), self._energy.read().tolist()
         return [
@@ -145,17 +139,16 @@ def _noise_squares(count: int, on: int, window: Window, reduction: int) -> tuple
 
 @dataclass(frozen=True, eq=False)
 class _Sample:
-    """Every ``step``-th event of a window, which has so many of them before its middle and in all."""
+    """Every ``step``-th event of a window, as a window, which has so many of them before its middle."""
 
     window: Window
     step: int
     middle: int
-    count: int
 
     @classmethod
     def of(cls, window: Window, middle: int, most: int) -> _Sample:
         step = max(1, -(-len(window) // most))
-        return cls(window, step, -(-middle // step), -(-len(window) // step))
+        return cls(window.thinned(step), step, -(-middle // step))
 
 
 def estimate_motions(
@@ -215,7 +208,7 @@ def estimate_motions(
             elif thorough and sample.step > 1 and correlation < CLEAR_PEAK:
                 waiting.append((k, _Sample.of(window, middles[k], len(window)), now_reach))
             else:
-                found[k] = _estimate(sample, middles[k], shift * reduction, correlation, agree, cfg)
+                found[k] = _estimate(window, middles[k], shift * reduction, correlation, agree, cfg)
     return found
 
 
@@ -237,25 +230,25 @@ def _correlate(
 ) -> list[tuple[NDArray[np.float64], float]]:  # fmt: skip
     """Correlate the halves of windows."""
     count = 1 << (len(samples) - 1).bit_length()
-    room = max(FEWEST_ROOM, 1 << (sum(sample.count for sample in samples) - 1).bit_length())
+    batch = EventBatch.of([sample.window for sample in samples])
+    events = workspace.events(batch)
     height = -(-max(sample.window.height for sample in samples) // reduction)
     width = -(-max(sample.window.width for sample in samples) // reduction)
     radius = reach + taps_beside(half)
     correlate = workspace.once(
-        ("motion", count, room, height, width, reduction, radius, half, cfg.clip),
-        lambda: _Correlator(count, room, height, width, reduction, radius, half, cfg, workspace),
+        ("motion", events.capacity, count, height, width, reduction, radius, half, cfg.clip),
+        lambda: _Correlator(events, count, height, width, reduction, radius, half, cfg, workspace),
     )
-    return correlate(samples)
+    return correlate(samples, batch)
 
 
 def _estimate(
-    sample: _Sample, middle: int, shift: NDArray[np.float64], correlation: float, agree: bool,
+    window: Window, middle: int, shift: NDArray[np.float64], correlation: float, agree: bool,
     cfg: MotionConfig,
 ) -> MotionEstimate | Reason:  # fmt: skip
     """Make a motion of a shift [px]."""
     if not agree:
         return Reason.NOTHING_MOVES
-    window = sample.window
     between = _mean_us(window, middle, len(window), cfg) - _mean_us(window, 0, middle, cfg)
     if between <= 0.0:
         return Reason.NOTHING_MOVES

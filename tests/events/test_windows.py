@@ -4,6 +4,7 @@ import numpy as np
 import pytest
 from scenes import events_at
 
+from evqr.events.array import EventArray
 from evqr.events.window import make_window
 
 COLUMNS = "xytp"
@@ -39,6 +40,19 @@ def test_stamps_of_any_size_lose_nothing(start):
     expected = (np.array(offsets) - 500.0) * 1e-6
     np.testing.assert_allclose(window.t, expected, rtol=1e-6, atol=0)
     assert window.middle_us == start + 500
+
+
+@pytest.mark.parametrize("step", [1, 2, 7])
+def test_a_window_is_thinned_with_its_stamps(step):
+    t, rng = np.arange(100, 150, dtype=np.int64), np.random.default_rng(1)
+    x, y = rng.integers(0, 40, (2, 50)).astype(np.uint16)
+    events = EventArray(t, x, y, rng.choice([-1, 1], 50).astype(np.int8), 40, 40)
+    window = make_window(events, 100, 200)
+    some = window.thinned(step)
+    assert (some.start_us, some.end_us, len(some)) == (100, 200, -(-50 // step))
+    np.testing.assert_array_equal(some.events.t, t[::step])
+    np.testing.assert_array_equal(some.packed.x, x[::step])
+    np.testing.assert_array_equal(some.packed.stamp, window.packed.stamp[::step])
 
 
 def test_keep_takes_what_the_mask_says_and_the_same_bounds():

@@ -80,6 +80,7 @@ def test_a_batch_is_loaded_once_for_all_that_is_picked_of_it(workspace, events):
     spoil(room)
     for picked in (batch.pick([1]), batch.pick([0, 0, 1]), batch.pick([])):
         assert workspace.events(picked).x[0] == 777
+    assert workspace.events(of(*batch.windows)).x[0] == 777  # the same windows, in a batch made anew
     assert_there(workspace.events(of(batch.windows[0])), of(batch.windows[0]))
     assert_there(workspace.events(batch), batch)
 
