@@ -52,12 +52,14 @@ class Solver:
     ------
     BackendError
         If the backend or the device is not there.
+    TypeError
+        The configuration is none.
     """
 
     def __init__(
         self, config: ReadConfig | None = None, *, backend: str = "auto", device: str = "cpu"
     ) -> None:
-        self.config = config or ReadConfig()
+        self.config = ReadConfig.of(config)
         self.workspace = Workspace(kernels_on(backend, device), device)
         load(self.workspace.backend, device, LAUNCHED)
 

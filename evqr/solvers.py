@@ -76,7 +76,7 @@ def solvers_for(
         For one user at a time; kept for the next where that is asked for, unless there was an exception.
     """
     kept = _this_thread.kept
-    key = count, config or ReadConfig(), backend, device
+    key = count, ReadConfig.of(config), backend, device
     solvers = [] if kept is None else kept.take(key)
     solvers = solvers or [Solver(config, backend=backend, device=device) for _ in range(count)]
     yield solvers

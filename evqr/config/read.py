@@ -90,6 +90,29 @@ class ReadConfig(Settings):
     track: TrackConfig = field(default_factory=TrackConfig)
     line: LineConfig = field(default_factory=LineConfig)
 
+    @classmethod
+    def of(cls, config: ReadConfig | None) -> ReadConfig:
+        """Give what was configured, or what is usual.
+
+        Parameters
+        ----------
+        config : ReadConfig or None
+            What a caller gave.
+
+        Returns
+        -------
+        config : ReadConfig
+            The same, or `ReadConfig()` for None.
+
+        Raises
+        ------
+        TypeError
+            It is something else.
+        """
+        if config is not None and not isinstance(config, cls):
+            raise TypeError(f"config must be a ReadConfig or None, got {type(config).__name__}")
+        return cls() if config is None else config
+
     def __post_init__(self) -> None:
         super().__post_init__()
         for symbology in self.symbologies:

@@ -95,24 +95,42 @@ def save_recording(
 
 
 def convert_recording(
-    recording: Recording, path: str | os.PathLike[str], *, progress: Progress | None = None
+    recording: Any,
+    path: str | os.PathLike[str],
+    *,
+    progress: Progress | None = None,
+    **opening: Unpack[RecordingOptions],
 ) -> tuple[str, ...]:
-    """Write all events of an open recording to a file, a chunk at a time.
+    """Write all events of a recording to a file, a chunk at a time.
 
     Parameters
     ----------
-    recording : Recording
-        What to read.
+    recording : Recording, path or arrays
+        As `open_recording` gives it, or what it takes.
     path : path
         What to write; the suffix names the format, as for `save_recording`.
     progress : callable
         Called with the event time done and the whole duration, None while unknown [us].
+    **opening : as for `open_recording`
+        Such as ``sensor`` and ``time_unit``, for what is not open yet.
 
     Returns
     -------
     tuple of str
         What the format could not keep, each in one line.
+
+    Raises
+    ------
+    RecordingError, MissingExtra, UsageError
+        Where `open_recording` and streaming do; the file cannot be written, or its suffix names no format.
+    TypeError
+        It is nothing that can be opened, or is open already and there is something to open it with.
     """
+    if not isinstance(recording, Recording):
+        with open_recording(recording, **opening) as opened:
+            return convert_recording(opened, path, progress=progress)
+    if opening:
+        raise TypeError(f"a Recording is open already: pass {', '.join(opening)} to open_recording")
     with _new_file(Path(path), writer_of(path), recording.width, recording.height) as writer:
         for chunk in recording.chunks():
             writer.write(chunk)

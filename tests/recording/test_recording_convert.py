@@ -122,3 +122,15 @@ def test_a_peer_reads_the_same(tmp_path, suffix):
     theirs = eventcv.load(str(tmp_path / f"a{suffix}"), time_unit="us").numpy()
     ours = np.stack([EVENTS.x, EVENTS.y, EVENTS.t, EVENTS.p > 0], axis=1)
     np.testing.assert_array_equal(theirs, ours)
+
+
+def test_whatever_can_be_opened_can_be_converted(tmp_path):
+    columns = (EVENTS.t, EVENTS.x, EVENTS.y, EVENTS.p)
+    convert_recording(columns, tmp_path / "a.npz", sensor=(EVENTS.width, EVENTS.height), time_unit="us")
+    convert_recording(tmp_path / "a.npz", tmp_path / "b.h5", start_us=int(EVENTS.t[1]) + 1)
+    with open_recording(tmp_path / "b.h5") as recording:
+        assert 0 < len(recording.read()) < len(EVENTS)
+        with pytest.raises(TypeError, match="is open already: pass sensor to open_recording"):
+            convert_recording(recording, tmp_path / "c.h5", sensor="64x48")
+    with pytest.raises(TypeError, match="got int"):
+        convert_recording(3, tmp_path / "c.h5")

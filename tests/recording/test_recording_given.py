@@ -192,6 +192,17 @@ def test_a_misspelt_keyword_is_refused_in_the_name_of_the_call(name):
         call(vote="soft")
 
 
+@pytest.mark.parametrize("config", [{}, {"window_us": 500}, evqr.DecodeConfig()], ids=repr)
+def test_what_is_no_configuration_is_refused(config):
+    for call in (evqr.read_codes, evqr.read_windows):
+        with pytest.raises(
+            TypeError, match=r"^config must be a ReadConfig or None, got (dict|DecodeConfig)$"
+        ):
+            list(call(EVENTS, config=config))
+    with pytest.raises(TypeError, match="config must be a ReadConfig or None"):
+        evqr.Solver(config)
+
+
 def test_read_many_of_no_source_is_refused():
     with pytest.raises(TypeError, match=r"^sources must be what read_codes takes, or many of them, got int$"):
         list(evqr.read_many(3))
