@@ -6,7 +6,7 @@ import re
 from dataclasses import dataclass
 from typing import Annotated
 
-from evqr.config.settings import Count, Range, Settings
+from evqr.config.settings import Count, Positive, Range, Settings
 from evqr.symbology import Symbology
 
 WholeTime = Annotated[int, Range(least=0)]
@@ -94,6 +94,9 @@ class LineConfig(Settings):
         later still are left out. Chosen: none, as of sources that sort.
     silence_us : int [us]
         A jump ahead of the stamps that is told as a gap. Chosen.
+    hot_pixel_hz : float [1/s], optional
+        A pixel that fires so often all the time, and eight times as often as those around it, is left out;
+        none is where this is None. Chosen: noise is at 0.1 to 50.
     behind_us : int [us], optional
         How far reading may fall behind the events before searches are skipped. Default: none ever is, as for
         recordings.
@@ -101,4 +104,5 @@ class LineConfig(Settings):
 
     disorder_us: Annotated[int, Range(least=0, most=50_000)] = 0
     silence_us: Count = 1_000_000
+    hot_pixel_hz: Positive | None = 500.0
     behind_us: Count | None = None

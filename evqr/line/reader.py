@@ -23,6 +23,7 @@ from evqr.events.array import EventArray
 from evqr.events.packed import PackedEvents
 from evqr.line.gates import Trigger, TriggerKind
 from evqr.line.history import Skipped
+from evqr.line.hot_pixels import HotPixels
 from evqr.line.match import Rule
 from evqr.line.pace import Pace
 from evqr.line.parts import FreeRunning, Part, Parts, Triggered
@@ -125,6 +126,8 @@ class Reader:
         self._lateness_us = 0 if triggers is None else triggers.lateness_us
         self._triggers: deque[tuple[Trigger, str]] = deque()
         self._odd: list[tuple[Trigger, str, int]] = []
+        least_hz = self._config.line.hot_pixel_hz
+        self._hot = None if least_hz is None else HotPixels(*size, least_hz)
         self._pace = Pace()
         self._records: list[LineRecord] = []
         self._before = Statistics()
@@ -305,6 +308,11 @@ class Reader:
         self.close()
 
     @property
+    def hot_pixels(self) -> list[tuple[int, int]]:
+        """Column and row of the pixels whose events are left out, since they fire all the time [px]."""
+        return [] if self._hot is None else self._hot.pixels
+
+    @property
     def statistics(self) -> Statistics:
         """What has been done so far, over all clocks of the source."""
         now = self._scheduler.statistics
@@ -357,7 +365,8 @@ class Reader:
             return
         for events in self._between_silences(incoming):
             if len(events):
-                self._scheduler.push(events)
+                for kept in [events] if self._hot is None else self._hot.without(events):
+                    self._scheduler.push(kept)
                 self._newest_us = int(events.t[-1])
 
     def _between_silences(self, events: EventArray) -> Iterator[EventArray]:
