@@ -26,12 +26,13 @@ from evqr.motion import Motion
 from evqr.reason import Reason
 from evqr.search.finder import Found, finding
 from evqr.search.hypothesis import Hypotheses
-from evqr.search.models import kinds_of
+from evqr.search.models import kinds_of, sizes
 from evqr.search.pyramid import Pyramid
 from evqr.search.score import score
 from evqr.search.screen import Candidate, screen
 from evqr.search.singles import codes_of_singles, with_single_patterns
 from evqr.search.triples import codes_of_triples
+from evqr.symbology import Symbology
 from evqr.workspace import Workspace
 
 
@@ -291,7 +292,7 @@ def _score_singles(
     with clock("pose"):
         peaks = np.concatenate([one.peaks.table[some] for one, some in zip(windows, which, strict=True)])
         of_window = np.repeat(np.arange(len(windows)), counts)
-        hypotheses = codes_of_singles(
+        hypotheses, of_each = codes_of_singles(
             peaks,
             np.concatenate(which),
             of_window,
@@ -301,9 +302,7 @@ def _score_singles(
             cfg.symbologies,
             workspace=workspace,
         )
-        each = len(hypotheses) // len(peaks)
-        ends = np.cumsum(each * counts)
-        parts = [hypotheses[end - each * count : end] for end, count in zip(ends, counts, strict=True)]
+        parts = [hypotheses[of_each == k] for k in range(len(windows))]
         _score_all(
             list(zip(windows, parts, strict=True)), pyramid, cfg.finder.min_single_match, cfg, workspace
         )
@@ -390,12 +389,19 @@ def _try(
 
 
 def _sizes_of(hypotheses: Hypotheses, most: int) -> list[Candidate]:
-    """Give the best of hypotheses of one pattern, in each size and direction: only a closer look tells."""
+    """Give the best of hypotheses of one pattern, in each size and direction: only a closer look tells.
+
+    So many of each symbology: those that show few modules match well more easily.
+    """
     quarters = np.round(np.arctan2(hypotheses.pose[:, 1, 0], hypotheses.pose[:, 0, 0]) / (0.5 * math.pi))
     of_kind: dict[tuple[int, float], int] = {}
     for k, kind in enumerate(zip(hypotheses.size.tolist(), quarters.tolist(), strict=True)):
         of_kind.setdefault(kind, k)
-    return [Candidate(hypotheses.space(k), hypotheses.pose[k], 1.0, 0) for k in list(of_kind.values())[:most]]
+    chosen: dict[Symbology, list[int]] = {}
+    for k in of_kind.values():
+        chosen.setdefault(sizes()[hypotheses.size[k]].symbology, []).append(k)
+    best = [k for of_one in chosen.values() for k in of_one[:most]]
+    return [Candidate(hypotheses.space(k), hypotheses.pose[k], 1.0, 0) for k in best]
 
 
 def _candidates(

@@ -8,7 +8,9 @@ from __future__ import annotations
 
 import functools
 import math
+from collections.abc import Mapping
 from dataclasses import dataclass
+from types import MappingProxyType
 
 import numpy as np
 from numpy.typing import NDArray
@@ -47,14 +49,29 @@ class Size:
 
 @functools.cache
 def sizes() -> tuple[Size, ...]:
-    """All sizes of symbols with one or three finder patterns: `Models` are in this order."""
+    """All sizes of symbols with one or three finder patterns, then heads: `Models` are in this order."""
     found = []
-    for symbology, symbol in SYMBOLS.items():
-        for version in symbol.sizes:
-            anchors = tuple(a for a in symbol.anchors(version) if a.kind is Landmark.FINDER_PATTERN)
-            if len(anchors) in (1, 3):
-                found.append(Size(symbology, version, anchors))
+    names = [(symbology, version) for symbology, symbol in SYMBOLS.items() for version in symbol.sizes]
+    names += [(symbology, head) for symbology, symbol in SYMBOLS.items() for head in symbol.heads]
+    for symbology, version in names:
+        every = SYMBOLS[symbology].anchors(version)
+        anchors = tuple(anchor for anchor in every if anchor.kind is Landmark.FINDER_PATTERN)
+        if len(anchors) in (1, 3):
+            found.append(Size(symbology, version, anchors))
     return tuple(found)
+
+
+@functools.cache
+def heads() -> Mapping[int, NDArray[np.intp]]:
+    """Sizes that begin with a head, by the head: all by their numbers in `sizes`."""
+    numbers = {(size.symbology, size.version): k for k, size in enumerate(sizes())}
+    return MappingProxyType(
+        {
+            numbers[symbology, head]: np.array([numbers[symbology, version] for version in versions], np.intp)
+            for symbology, symbol in SYMBOLS.items()
+            for head, versions in symbol.heads.items()
+        }
+    )
 
 
 @functools.cache

@@ -1,7 +1,8 @@
-"""Symbols with a single finder pattern: Micro QR codes.
+"""Symbols with a single finder pattern: Micro QR and rMQR codes.
 
 A peak tells the place of a finder pattern, but size and angle only to half a step of the search; a symbol's
-timing lies further out.  So the pattern itself is aligned first, alone, as if it were a symbol.
+timing lies further out.  So the pattern itself is aligned first, alone, as if it were a symbol.  What several
+long sizes begin with, their head, is aligned next; all its sizes are made up from there.
 """
 
 from __future__ import annotations
@@ -17,8 +18,10 @@ from evqr.fit.image import count_for
 from evqr.fit.tables import Codes, Level
 from evqr.geometry import compose
 from evqr.search.hypothesis import Hypotheses
-from evqr.search.models import sizes
+from evqr.search.models import heads, kinds_of, sizes
 from evqr.search.pyramid import Pyramid
+from evqr.search.score import score
+from evqr.search.screen import screen
 from evqr.symbol.space import Anchor, CodeSpace, Landmark
 from evqr.symbology import Symbology
 from evqr.workspace import Workspace
@@ -31,6 +34,13 @@ LEVELS = (Level(sigma=0.5, samples=2, tilt=False, tolerance=0.05),)
 
 SHIFTS = 3
 """Places of a pattern along an axis that the motion does not show, a module apart."""
+
+HEADS_A_PATTERN = 6
+"""Heads of a pattern that are aligned, the best."""
+
+MIN_HEAD_MATCH = 0.55
+"""Mean correlation of a head with finder pattern and timing for it to be aligned: those of codes were seen to
+be 0.61 and more, what is none mostly less."""
 
 SEEN_SHARE = 0.1
 """Share of the motion along an axis, squared, from which on the pattern's size along it is seen."""
@@ -51,23 +61,41 @@ def _pattern() -> CodeSpace:
 
 @functools.cache
 def _single(symbologies: tuple[Symbology, ...]) -> tuple[NDArray[np.intp], NDArray[np.float64]]:
-    """Sizes with one finder pattern, in every direction: index, and map (N, 3, 3) of theirs to `_pattern`."""
+    """Sizes with one finder pattern and no head, in every direction: index, map (N, 3, 3) to `_pattern`."""
+    beyond = set(np.concatenate([*heads().values(), np.array([*heads()], np.intp)]).tolist())
+    return _turned([k for k in _with_one_pattern(symbologies) if k not in beyond], (1,))
+
+
+@functools.cache
+def _heads(symbologies: tuple[Symbology, ...]) -> tuple[NDArray[np.intp], NDArray[np.float64]]:
+    """Heads with one finder pattern, in every direction and mirrored, likewise.
+
+    A mirrored square is its own outline, and told when it is decoded; a mirrored rectangle is not.
+    """
+    return _turned([k for k in _with_one_pattern(symbologies) if k in heads()], (1, -1))
+
+
+def _with_one_pattern(symbologies: tuple[Symbology, ...]) -> list[int]:
+    return [k for k in np.flatnonzero(kinds_of(symbologies)).tolist() if len(sizes()[k].anchors) == 1]
+
+
+def _turned(which: list[int], hands: tuple[int, ...]) -> tuple[NDArray[np.intp], NDArray[np.float64]]:
     found, maps = [], []
-    for k, size in enumerate(sizes()):
-        if len(size.anchors) == 1 and size.symbology in symbologies:
-            for quarter in range(QUARTERS):
+    for k in which:
+        u, v = sizes()[k].anchors[0].u, sizes()[k].anchors[0].v
+        for quarter in range(QUARTERS):
+            for hand in hands:
                 cos, sin = (1, 0, -1, 0)[quarter], (0, 1, 0, -1)[quarter]
-                turn = np.array([[cos, -sin, 4.5], [sin, cos, 4.5], [0.0, 0.0, 1.0]])
-                u, v = size.anchors[0].u, size.anchors[0].v
-                turn[:2, 2] -= cos * u - sin * v, sin * u + cos * v
+                turn = np.array([[cos, -sin * hand, 4.5], [sin, cos * hand, 4.5], [0.0, 0.0, 1.0]])
+                turn[:2, 2] -= np.einsum("ij,j->i", turn[:2, :2], (u, v))
                 found.append(k)
                 maps.append(turn)
-    return np.array(found, np.intp), np.array(maps)
+    return np.array(found, np.intp), np.array(maps).reshape(-1, 3, 3)
 
 
 def with_single_patterns(symbologies: tuple[Symbology, ...]) -> bool:
     """Whether symbols of some kinds have a single finder pattern."""
-    return len(_single(symbologies)[0]) > 0
+    return bool(_with_one_pattern(symbologies))
 
 
 def codes_of_singles(
@@ -80,7 +108,7 @@ def codes_of_singles(
     symbologies: tuple[Symbology, ...],
     *,
     workspace: Workspace,
-) -> Hypotheses:
+) -> tuple[Hypotheses, NDArray[np.intp]]:
     """Give the codes that finder patterns could each be the only one of: all sizes, in all directions.
 
     Parameters
@@ -105,9 +133,10 @@ def codes_of_singles(
     Returns
     -------
     hypotheses : Hypotheses
-        As many of each peak, in their order.
+        Of each peak in turn all sizes without a head; then those that go with the heads that match.
+    window : (M,) intp
+        The window of each.
     """
-    size, turns = _single(symbologies)
     _, x, y, module_px, angle = peaks.T.astype(np.float64)
     cos, sin = module_px * np.cos(angle), module_px * np.sin(angle)
     pose = np.zeros((len(peaks), 3, 3))
@@ -126,13 +155,62 @@ def codes_of_singles(
     step.run()
     refined = compose(pyramid.to_px(window, level), step.read().pose)
     refined = _as_seen(refined, direction)
+    alone, of_alone = _hypotheses(refined, *_single(symbologies), peaks, which, window)
+    begun, of_begun = _hypotheses(refined, *_heads(symbologies), peaks, which, window)
+    if not len(begun):
+        return alone, of_alone
+    grown, of_grown = _grown(begun, of_begun, len(peaks), pyramid, cfg, workspace=workspace)
+    return Hypotheses.joined([alone, grown]), np.concatenate([of_alone, of_grown])
+
+
+def _hypotheses(
+    patterns: NDArray[np.float64],
+    size: NDArray[np.intp],
+    turns: NDArray[np.float64],
+    peaks: NDArray[np.float32],
+    which: NDArray[np.intp],
+    window: NDArray[np.intp],
+) -> tuple[Hypotheses, NDArray[np.intp]]:
+    """Give every size at every place (P, SHIFTS, 3, 3) of every pattern, and the window of each."""
     count = SHIFTS * len(size)
-    return Hypotheses(
-        np.tile(size, SHIFTS * len(peaks)),
-        compose(refined[:, :, None], turns).reshape(-1, 3, 3),
+    made = Hypotheses(
+        np.tile(size, SHIFTS * len(patterns)),
+        compose(patterns[:, :, None], turns).reshape(-1, 3, 3),
         np.repeat(which, 3 * count).reshape(-1, 3),
         np.repeat(peaks[:, 0] < 0.0, count),
     )
+    return made, np.repeat(window, count)
+
+
+def _grown(
+    begun: Hypotheses,
+    window: NDArray[np.intp],
+    n_patterns: int,
+    pyramid: Pyramid,
+    cfg: AlignConfig,
+    *,
+    workspace: Workspace,
+) -> tuple[Hypotheses, NDArray[np.intp]]:
+    """Give all sizes that begin with the heads that match best, aligned, and the window of each."""
+    match = score(pyramid, window, begun.size, begun.pose, cfg, workspace=workspace).mean(axis=1)
+    every = np.arange(len(begun)).reshape(n_patterns, SHIFTS, -1)
+    rows = np.take_along_axis(every, match[every].argmax(axis=1)[:, None], axis=1)[:, 0]  # one place of each
+    order = np.argsort(-match[rows], axis=1, kind="stable")[:, :HEADS_A_PATTERN]
+    best = np.take_along_axis(rows, order, axis=1)
+    best = best[match[best] >= MIN_HEAD_MATCH]
+    if not len(best):
+        return begun[best], window[best]
+    chosen = begun[best]
+    aligned = screen(chosen, window[best].tolist(), pyramid, cfg, workspace=workspace)
+    # as they are, too: of a head that moves along an axis too little is seen to align it
+    good = [k for k, each in enumerate(aligned) if each.score >= cfg.coarse_score]
+    pose = np.concatenate([chosen.pose, *(aligned[k].pose[None] for k in good)])
+    head = np.array([*range(len(chosen)), *good], np.intp)
+    wider = [heads()[size] for size in chosen.size[head].tolist()]
+    row = np.repeat(np.arange(len(head)), [len(some) for some in wider])
+    of = head[row]
+    grown = Hypotheses(np.concatenate(wider), pose[row], chosen.peaks[of], chosen.inverted[of])
+    return grown, window[best][of]
 
 
 def _as_seen(pose: NDArray[np.float64], direction: NDArray[np.float64]) -> NDArray[np.float64]:

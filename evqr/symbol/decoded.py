@@ -32,7 +32,7 @@ class Decoded(Value):
     mask : int, optional
         Number of the mask; None where there are none.
     mirrored : bool
-        The grid was the transpose of the symbol.
+        The grid was the mirror image of the symbol; a rectangle's pose is mirrored, not its grid.
     errors_corrected : int
         Codewords that error correction changed, erased ones included.
     erasures : int

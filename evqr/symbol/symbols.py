@@ -6,7 +6,7 @@ To add one, write its file, and its line here.
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from types import MappingProxyType
 from typing import Any
 
@@ -48,6 +48,9 @@ class Symbol:
     valid : callable
         Tells of grids (B, V, U) float64 of a space, all at once, whose codewords (B,) bool have no error as
         they are: those are decoded in no time. Default: of none.
+    heads : mapping of str to tuple of str
+        What several versions begin with, by a name that ``anchors``, ``timing`` and ``space`` take too, and
+        which they are. Default: none.
     """
 
     sizes: Mapping[Any, tuple[int, int]]
@@ -57,6 +60,7 @@ class Symbol:
     decode: Callable[[NDArray[np.float64], CodeSpace, DecodeConfig, Effort], Decoded | DecodeFailure]
     mirror: Callable[[NDArray], NDArray] = np.transpose
     valid: Callable[[NDArray[np.float64], CodeSpace], NDArray[np.bool_]] = _none
+    heads: Mapping[str, tuple[str, ...]] = field(default_factory=dict)
 
 
 SYMBOLS: Mapping[Symbology, Symbol] = MappingProxyType(
@@ -84,6 +88,7 @@ SYMBOLS: Mapping[Symbology, Symbol] = MappingProxyType(
             space=rmqr.space,
             decode=rmqr.decode,
             valid=valid_words,
+            heads=rmqr.HEADS,
         ),
         Symbology.DATA_MATRIX: Symbol(
             sizes=data_matrix.SIZES,

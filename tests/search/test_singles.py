@@ -27,7 +27,7 @@ def searched(version, angle, workspace, **options):
     (found,), pyramid = find_patterns(EventBatch.of([window_of(made)]), [motion], FINDER, workspace=workspace)
     which = np.arange(min(len(found.peaks), FINDER.single_patterns))
     window = np.zeros(len(which), np.intp)
-    hypotheses = codes_of_singles(
+    hypotheses, of_each = codes_of_singles(
         found.peaks.table[which],
         which,
         window,
@@ -38,6 +38,7 @@ def searched(version, angle, workspace, **options):
         workspace=workspace,
     )
     everyone = np.zeros(len(hypotheses), np.intp)
+    np.testing.assert_array_equal(of_each, everyone)
     scores = score(pyramid, everyone, hypotheses.size, hypotheses.pose, ALIGN, workspace=workspace)
     return which, hypotheses, scores, at(truth, "H", middle_us(made))
 
