@@ -22,6 +22,7 @@ from .options import Asked
 from .source import choose_stream
 
 SAMPLE_ROWS = 4096
+MOST_COLUMNS = 12
 FEW_ROWS = 16  # so few may well be the same
 COLUMN_ATTRIBUTES = ("columns", "column_names", "names", "fields", "order", "format")
 
@@ -276,6 +277,14 @@ def _refuse(file: h5py.File, matrices: list[Layout], path: str, asked: Asked) ->
     """Raise for a file in which no events were found, naming what comes nearest."""
     if len(matrices) == 1:
         _order(matrices[0], asked, path)
+    for place, thing in _walk(file):
+        wide = isinstance(thing, h5py.Dataset) and thing.ndim == 2 and thing.dtype.kind in "biuf"
+        if wide and "event" in place.casefold() and 4 < min(thing.shape) <= MOST_COLUMNS:
+            order = ",".join((*DEFAULT_ORDER, *"-" * (min(thing.shape) - 4)))
+            raise RecordingError(
+                f"{path}: array {place} of shape {thing.shape} has no column names; say what they are, with"
+                f' - for what is not read: for example columns="{order}"'
+            )
     events = file.get("events")
     group = events if isinstance(events, h5py.Group) else file
     require_columns(map(str, group), path, f"HDF5 group {group.name}")

@@ -110,7 +110,8 @@ def choose_stream(names: Sequence[str], wanted: str | None, name: str, what: str
     names : sequence of str
         The event streams of the file, at least one.
     wanted : str | None
-        What the user asked for: a name, or its last part where that is unique ("left" for "davis/left").
+        What the user asked for: a name, or its last part where that is unique ("left" for "davis/left"), or
+        else any part ("left" for "davis/left/events").
     name, what : str
         The recording, and what the format calls its streams, for the message.
 
@@ -129,12 +130,21 @@ def choose_stream(names: Sequence[str], wanted: str | None, name: str, what: str
         raise StreamChoice(message, tuple(names))
     if wanted in names:
         return wanted
-    parts = wanted.strip("/").casefold().split("/")
-    ends = [n for n in names if n.strip("/").casefold().split("/")[-len(parts) :] == parts]
-    if len(ends) == 1:
-        return ends[0]
-    problem = "fits several" if ends else "is not among the"
+    parts = _parts(wanted)
+    ends = [each for each in names if _parts(each)[-len(parts) :] == parts]
+    within = ends or [
+        each
+        for each in names
+        if any(_parts(each)[i : i + len(parts)] == parts for i in range(len(_parts(each))))
+    ]
+    if len(within) == 1:
+        return within[0]
+    problem = "fits several" if within else "is not among the"
     raise RecordingError(f"{name}: stream {wanted!r} {problem} event {what}s of this file ({listed})")
+
+
+def _parts(name: str) -> list[str]:
+    return name.strip("/").casefold().split("/")
 
 
 @contextmanager

@@ -129,6 +129,20 @@ def test_two_cameras(tmp_path):
     write(tmp_path / "a", two)
     with pytest.raises(StreamChoice, match="davis/left/events, davis/right/events"):
         read(tmp_path / "a")
+    for stream in ("left", "davis/left"):
+        assert_same_events(read(tmp_path / "a", stream=stream, time_unit="us")[0], EVENTS)
+    with pytest.raises(RecordingError, match="stream 'davis' fits several event groups"):
+        read(tmp_path / "a", stream="davis")
+
+
+def test_a_matrix_of_more_columns_asks_what_they_are(tmp_path):
+    wide = np.column_stack([matrix("txyp"), np.zeros(400)])
+    write(tmp_path / "a", {"events": wide})
+    with pytest.raises(
+        RecordingError, match=r"array events of shape \(400, 5\) has no column names.*t,x,y,p,-"
+    ):
+        read(tmp_path / "a")
+    assert_same_events(read(tmp_path / "a", columns="t,x,y,p,-", time_unit="us")[0], EVENTS)
 
 
 def test_links(tmp_path):
