@@ -127,6 +127,8 @@ class Pyramid(Step):
         self.levels = levels_of(rows, columns, cfg)
         self.layout = layout_of(self.levels, cfg)
         self.regions: list[Region] = []
+        self._tops = np.array([(cfg.half, level.top) for level in self.levels]) - 0.5
+        self._corners = np.zeros((0, 2))
         height, width = len(self.layout.rows) + 2 * cfg.half, columns + 2 * cfg.half
         self._whole = workspace.empty(count, height, width)
         workspace.backend.clear(self._whole)
@@ -148,6 +150,7 @@ class Pyramid(Step):
         cells = [region.cell for region in regions]
         lags = [lag or (on * cell, off * cell) for lag, cell in zip(lags_px, cells, strict=True)]
         self.regions = list(regions)
+        self._corners = np.array([(region.x, region.y) for region in regions])
         self._deposit.write(batch, motions, regions)
         self._sharpen.write(motions, regions, lags)
 
@@ -190,14 +193,11 @@ class Pyramid(Step):
         self, window: NDArray[np.intp], level: NDArray[np.intp]
     ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
         """Size of a cell (N,) [px], and where the first pixel lies (N, 2) [cells]."""
-        tops = np.array([(self._cfg.half, level.top) for level in self.levels]) - 0.5
-        corner = np.array([(region.x, region.y) for region in self.regions])
         cell = self.layout.sizes[level, 0].astype(np.float64)
-        return cell, tops[level] - corner[window] / cell[:, None]
+        return cell, self._tops[level] - self._corners[window] / cell[:, None]
 
     def level_for(self, pose: NDArray[np.float64], cells_a_module: float) -> NDArray[np.intp]:
         """Give the levels (N,) on which modules of affine poses (N, 3, 3) [px] have so many cells, nearly."""
-        (a, b, _), (d, e, _), _ = np.moveaxis(pose, 0, -1)
-        size = np.sqrt(np.abs(a * e - b * d))
+        size = np.sqrt(np.abs(pose[:, 0, 0] * pose[:, 1, 1] - pose[:, 0, 1] * pose[:, 1, 0]))
         steps = np.log(size / cells_a_module / self.levels[0].cell) / math.log(self._cfg.scale_ratio)
         return np.clip(np.round(steps), 0, len(self.levels) - 1).astype(np.intp)

@@ -17,22 +17,37 @@ import warp as wp
 from evqr_kernels.warp_backend.language import launch, module_of, neighbours, variant, vector
 
 SPAN = 16
-"""Neighbouring fine pixels that a reduction adds up together."""
+"""Neighbouring pixels of a row that are worked on together."""
 
 
 @cache
 def make_measure_rows(dtype: type) -> wp.Kernel:
     """Build the first pass of clipping; launch: one thread per row."""
+    vec_block = vector(SPAN, dtype)
+    vec_counts = vector(SPAN, wp.int32)
 
     @wp.kernel(module=module_of("images", dtype))
     def measure_rows(
         image: wp.array3d(dtype=dtype),
+        blocks: wp.array3d(dtype=vec_block),
         rows_out: wp.array3d(dtype=dtype),
     ):
         b, y = wp.tid()
+        width = image.shape[2]
+        whole = width - width % SPAN
+        totals = vec_block()
+        counts = vec_counts()
+        for x in range(0, whole, SPAN):
+            values = blocks[b, y, x]
+            totals += wp.abs(values)
+            for p in range(SPAN):
+                counts[p] += wp.where(values[p] != dtype(0.0), 1, 0)
         total = dtype(0.0)
         count = wp.int32(0)
-        for x in range(image.shape[2]):
+        for p in range(SPAN):
+            total += totals[p]
+            count += counts[p]
+        for x in range(whole, width):
             value = image[b, y, x]
             total += wp.abs(value)
             count += wp.where(value != dtype(0.0), 1, 0)
@@ -68,20 +83,33 @@ def make_limit(dtype: type) -> wp.Kernel:
 @cache
 def make_clip_rows(dtype: type) -> wp.Kernel:
     """Build the third pass; launch: one thread per row."""
+    vec_block = vector(SPAN, dtype)
+
+    @wp.func
+    def clipped(value: dtype, high: dtype):
+        # of what is not a number neither comparison holds: it stays, and is no limit
+        lower = wp.where(value > high, high, value)
+        return wp.where(lower < -high, -high, lower)
 
     @wp.kernel(module=module_of("images", dtype))
     def clip_rows(
         image: wp.array3d(dtype=dtype),
+        blocks: wp.array3d(dtype=vec_block),
         limit: wp.array(dtype=dtype),
         image_out: wp.array3d(dtype=dtype),
+        blocks_out: wp.array3d(dtype=vec_block),
     ):
         b, y = wp.tid()
         high = limit[b]
-        for x in range(image.shape[2]):
-            value = image[b, y, x]
-            # of what is not a number neither comparison holds: it stays, and is no limit
-            value = wp.where(value > high, high, value)
-            image_out[b, y, x] = wp.where(value < -high, -high, value)
+        width = image.shape[2]
+        whole = width - width % SPAN
+        for x in range(0, whole, SPAN):
+            values = blocks[b, y, x]
+            for p in range(SPAN):
+                values[p] = clipped(values[p], high)
+            blocks_out[b, y, x] = values
+        for x in range(whole, width):
+            image_out[b, y, x] = clipped(image[b, y, x], high)
 
     return clip_rows
 
@@ -90,11 +118,18 @@ def clip_outliers(image, factor: float, rows_out, limit_out, image_out, busy_out
     """Launch the three passes; overwrites."""
     dtype, device = image.dtype, image.device
     rows = image.shape[:2]
-    launch(make_measure_rows(dtype), rows, inputs=[image], outputs=[rows_out], device=device)
+    blocks = neighbours(image, SPAN)
+    launch(make_measure_rows(dtype), rows, inputs=[image, blocks], outputs=[rows_out], device=device)
     launch(
         make_limit(dtype), rows[0], inputs=[rows_out, factor], outputs=[limit_out, busy_out], device=device
     )
-    launch(make_clip_rows(dtype), rows, inputs=[image, limit_out], outputs=[image_out], device=device)
+    launch(
+        make_clip_rows(dtype),
+        rows,
+        inputs=[image, blocks, limit_out],
+        outputs=[image_out, neighbours(image_out, SPAN)],
+        device=device,
+    )
 
 
 @cache
@@ -173,7 +208,7 @@ def reduce_image(image, ratio: float, rows_out, image_out) -> None:
 
 @cache
 def make_mix_images(dtype: type, block: int) -> wp.Kernel:
-    """Build the mixing; launch: one thread per (result, row, block of columns)."""
+    """Build the mixing; launch: ``parts`` threads per row of a result."""
     vec_block = vector(block, dtype)
 
     @wp.kernel(module=module_of(f"mix_{block}", dtype))
@@ -181,15 +216,19 @@ def make_mix_images(dtype: type, block: int) -> wp.Kernel:
         blocks: wp.array4d(dtype=vec_block),
         image_idx: wp.array(dtype=wp.int32),
         weight: wp.array2d(dtype=dtype),
+        parts: int,
         blocks_out: wp.array3d(dtype=vec_block),
     ):
-        n, y, k = wp.tid()
-        # the last block ends with the row; what it shares with the one before is written twice, alike
-        x = wp.min(block * k, blocks_out.shape[2] - 1)
-        total = vec_block()
-        for i in range(weight.shape[1]):
-            total += weight[n, i] * blocks[image_idx[n], i, y, x]
-        blocks_out[n, y, x] = total
+        n, y, part = wp.tid()
+        image = image_idx[n]
+        places = blocks_out.shape[2]
+        for begin in range(block * part, places + block - 1, block * parts):
+            # the last block ends with the row; what it shares with the one before is written twice, alike
+            x = wp.min(begin, places - 1)
+            total = vec_block()
+            for i in range(weight.shape[1]):
+                total += weight[n, i] * blocks[image, i, y, x]
+            blocks_out[n, y, x] = total
 
     return mix_images
 
@@ -198,10 +237,11 @@ def mix_images(images, image_idx, weight, images_out) -> None:
     """Launch; overwrites."""
     count, height, width = images_out.shape
     block = variant("mix_images", images.device, width).tile
+    parts = 1 if images.device.is_cpu else -(-width // block)
     launch(
         make_mix_images(images.dtype, block),
-        (count, height, -(-width // block)),
-        inputs=[neighbours(images, block), image_idx, weight],
+        (count, height, parts),
+        inputs=[neighbours(images, block), image_idx, weight, parts],
         outputs=[neighbours(images_out, block)],
         device=images.device,
     )
