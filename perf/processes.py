@@ -36,6 +36,9 @@ PARTS = ("start ms", "process s", "ratio")
 FIRST_RECORD_SECONDS = 0.2
 """From a process's start to its first record, beyond imports and the load of the kernels, at most."""
 
+COPIES = {"busy": 6, "jobs": 24}
+"""Of each scene, a recording: two processes take a second to start, and so are worth it for many."""
+
 QUIET_OVER_BUSY = 1 / 1.3
 JOBS_RATIO = 1.7
 
@@ -173,7 +176,7 @@ def time_start(trees: Mapping[str, Tree], folder: Path, rounds: int) -> list[Row
 def time_busy(trees: Mapping[str, Tree], folder: Path, rounds: int) -> list[Row]:
     """Time reading on two cores, alone and with a neighbour that never rests on one of them."""
     mine, neighbours = two_cores()
-    paths = stored(folder, copies=1)
+    paths = stored(folder, COPIES["busy"])
     commands = {name: (read(tree, *paths), tree.path) for name, tree in trees.items()}
     commands[CONTROL] = counting(1), folder
     contestants: dict[str, Callable[[], Run]] = {}
@@ -203,7 +206,7 @@ def time_busy(trees: Mapping[str, Tree], folder: Path, rounds: int) -> list[Row]
 
 def time_jobs(trees: Mapping[str, Tree], folder: Path, rounds: int) -> list[Row]:
     """Time many recordings with one job and with two, and one process that counts against two of them."""
-    paths = stored(folder, copies=3)
+    paths = stored(folder, COPIES["jobs"])
     case = f"{len(paths)} recordings"
     contestants: dict[str, Callable[[], Run]] = {}
     for name, tree in trees.items():
@@ -230,11 +233,16 @@ def time_jobs(trees: Mapping[str, Tree], folder: Path, rounds: int) -> list[Row]
 
 
 def stored(folder: Path, copies: int) -> list[Path]:
-    """Write the scenes with codes as files, so many of each; none is written twice."""
+    """Write the scenes with codes as files, so many of each: one, and others that are links to it."""
     paths = [folder / f"{name}-{copy}.h5" for copy in range(copies) for name in cases.PIPELINE]
     for path in paths:
-        if not path.exists():
-            save_recording(path, reader_times.simulated(path.stem.rpartition("-")[0]).events)
+        name, _, copy = path.stem.rpartition("-")
+        if path.exists():
+            continue
+        if int(copy):
+            os.link(folder / f"{name}-0.h5", path)
+        else:
+            save_recording(path, reader_times.simulated(name).events)
     return paths
 
 

@@ -3,6 +3,7 @@
 import os
 import sys
 from pathlib import Path
+from types import SimpleNamespace
 
 import pytest
 
@@ -62,3 +63,13 @@ def test_all_run_once_a_round_and_the_first_round_does_not_count():
     assert len(turns) == 5 and all(sorted(turn) == list("abc") for turn in turns)
     assert len(set(map(tuple, turns))) > 1
     assert min(min(trial.values()) for trial in trials) == 4
+
+
+def test_recordings_are_written_once_and_linked_for_as_many_as_are_asked_for(tmp_path, monkeypatch):
+    monkeypatch.setattr(processes.cases, "PIPELINE", {"a-1": {}, "b": {}})
+    monkeypatch.setattr(processes.reader_times, "simulated", lambda name: SimpleNamespace(events=name))
+    monkeypatch.setattr(processes, "save_recording", lambda path, events: path.write_text(events))
+    for copies in (2, 3):
+        paths = processes.stored(tmp_path, copies)
+        assert [path.read_text() for path in paths] == ["a-1", "b"] * copies
+    assert len(set(paths)) == 6
