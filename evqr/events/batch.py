@@ -105,9 +105,11 @@ class EventBatch:
         Returns
         -------
         batch : EventBatch
-            Of these, in this order.
+            Of these, in this order; itself where they are all of them.
         """
         places = list(which)
+        if places == list(range(len(self.windows))):
+            return self
         return EventBatch(
             tuple(self.windows[k] for k in places),
             self.parts,

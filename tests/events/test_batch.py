@@ -65,6 +65,7 @@ def test_windows_of_unknown_origin_do_not_share():
 def test_picked_windows_share_the_events():
     buffer = EventBuffer.of(stream(4))
     batch = EventBatch.of([buffer.window(0, 200), buffer.window(100, 500)])
+    assert batch.pick([0, 1]) is batch
     picked = batch.pick([1, 1, 0])
     assert picked.parts is batch.parts
     assert picked.windows == (batch.windows[1], batch.windows[1], batch.windows[0])
