@@ -104,7 +104,8 @@ class Motion(Value):
             There.
         """
         if self.uniform:
-            return np.broadcast_to(self.parameters, np.shape(point))
+            shape = np.shape(point)
+            return self.parameters if len(shape) == 1 else np.broadcast_to(self.parameters, shape)
         off = np.asarray(point) - self.about
         (a_xx, a_xy), (a_yx, a_yy) = self.slope.tolist()
         change = a_xx * off[..., 0] + a_xy * off[..., 1], a_yx * off[..., 0] + a_yy * off[..., 1]

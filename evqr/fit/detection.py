@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 
 import numpy as np
 from numpy.typing import NDArray
@@ -192,7 +192,7 @@ class Detection(Value):
         detection : Detection
             That differs in its motion only.
         """
-        return replace(self, target=replace(self.target, motion=motion.at(self.time_us)))
+        return self.altered(target=self.target.altered(motion=motion.at(self.time_us)))
 
 
 @dataclass(frozen=True, eq=False)

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections import deque
 from collections.abc import Mapping
-from copy import copy
 from typing import TypeVar
 
 import numpy as np
@@ -14,7 +13,7 @@ from evqr.events.window import Window
 from evqr.fit.detection import Detection, NotFound
 from evqr.fit.fusion import Fusion, Solving
 from evqr.fit.modules import CodeEstimate
-from evqr.geometry import module_px
+from evqr.geometry import bounds, module_px
 from evqr.motion import Motion
 from evqr.results import CodeReading
 from evqr.solver import Solver
@@ -164,7 +163,8 @@ class Track:
             As it is then.  This one stays as it is, for those who ask about an earlier time, and is not
             followed any more.
         """
-        track = copy(self)
+        track = object.__new__(type(self))
+        vars(track).update(vars(self))
         yield from track._go_on(window)
         return track
 
@@ -284,5 +284,6 @@ class Track:
 
 def _in_view(detection: Detection, window: Window) -> bool:
     """Whether the whole code is in the image in the middle of a window."""
-    corners = detection.at(window.middle_us).outline()
-    return bool((corners > -0.5).all() and (corners < (window.width - 0.5, window.height - 0.5)).all())
+    target = detection.at(window.middle_us)
+    left, top, right, bottom = bounds(target.pose, target.space.shape)
+    return -0.5 < left and right < window.width - 0.5 and -0.5 < top and bottom < window.height - 0.5
