@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import operator
+import weakref
 from collections import OrderedDict
 from collections.abc import Callable
 from functools import cached_property
@@ -43,9 +44,15 @@ ALIGNED = 16
 """Words of 32 bits that parts of a block begin with a multiple of: a line of the cache."""
 
 
-MOST_BYTES = {"host": 1 << 28, "device": 1 << 33}
+MOST_BYTES = {"host": 1 << 27, "device": 1 << 32}
 """Bytes that windows side by side may take: of a host's memory, where more of them are no faster, and of a
 device's own."""
+
+MOST_KEPT_BYTES = {"host": 1 << 30, "device": 1 << 34}
+"""Bytes that what a workspace keeps may take."""
+
+FEWEST_KEPT = 16
+"""Things that are kept whatever they take: what is in use is among them."""
 
 
 class Mirror:
@@ -293,7 +300,21 @@ class Workspace(Keeper):
     def __init__(self, backend: KernelBackend, device: str) -> None:
         self.backend = backend
         self.device = device
+        self._bytes: list[int] = []  # of each array that was made and is still there
         self._room = EventRoom(self, FEWEST_EVENTS)  # recorded launches know it by its capacity
+
+    def once(self, key: Any, make: Callable[[], T]) -> T:
+        """Give whatever ``make`` gives, made when it is first asked for; what takes too much in all goes."""
+        arrays = len(self._bytes)
+        made = super().once(key, make)
+        if len(self._bytes) > arrays and sum(self._bytes) > MOST_KEPT_BYTES[self._memory]:
+            while sum(self._bytes) > MOST_KEPT_BYTES[self._memory] // 2 and len(self._kept) > FEWEST_KEPT:
+                self._kept.popitem(last=False)
+        return made
+
+    @property
+    def _memory(self) -> str:
+        return "host" if self.shared else "device"
 
     @cached_property
     def shared(self) -> bool:
@@ -303,12 +324,20 @@ class Workspace(Keeper):
 
     def windows_at_once(self, bytes_each: float) -> int:
         """Give how many windows, each of which takes so many bytes, are worked on side by side."""
-        most = int(MOST_BYTES["host" if self.shared else "device"] / bytes_each)
+        most = int(MOST_BYTES[self._memory] / bytes_each)
         return 1 << max(most, 1).bit_length() - 1  # what is made for windows has room for a power of two
 
     def empty(self, *shape: int, dtype: DTypeLike = np.float32) -> Any:
         """Make a device array with undefined contents."""
-        return self.backend.empty(shape, dtype, self.device)
+        return self._counted(self.backend.empty(shape, dtype, self.device))
+
+    def _counted(self, array: Any) -> Any:
+        """Count the bytes of an array for as long as it is there."""
+        n_bytes = words_of(array.shape, np.float32) * 4
+        self._bytes.append(n_bytes)
+        # of the list alone: what is called must not hold the workspace
+        weakref.finalize(array, self._bytes.remove, n_bytes).atexit = False
+        return array
 
     def buffer(self, name: str, shape: tuple[int, ...], dtype: DTypeLike = np.float32) -> Any:
         """Give a device array of a name and shape, the same one each time."""
@@ -317,7 +346,7 @@ class Workspace(Keeper):
 
     def scratch(self, op: str, floats: DTypeLike = np.float32, **sizes: Any) -> list[Any]:
         """Make the partial results that an operation takes, for sizes and settings of its table."""
-        return make_scratch(self.backend, self.device, op, floats, **sizes)
+        return [*map(self._counted, make_scratch(self.backend, self.device, op, floats, **sizes))]
 
     def table(self, key: tuple[Any, ...], array: NDArray[Any]) -> Any:
         """Give a constant table on the device, copied there when it is first asked for."""

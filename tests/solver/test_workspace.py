@@ -154,6 +154,38 @@ def test_what_was_not_used_for_longest_goes_first(workspace):
     assert made[-1] == "b"
 
 
+def test_what_takes_too_much_in_all_goes(workspace, monkeypatch):
+    """What was not used for longest first, until half of it is left; a few things stay whatever they take."""
+    monkeypatch.setattr("evqr.workspace.MOST_KEPT_BYTES", {"host": 8000})
+    monkeypatch.setattr("evqr.workspace.FEWEST_KEPT", 2)
+    made = []
+
+    def ask(name, count=500):
+        workspace.once(name, lambda: (made.append(name), workspace.empty(count))[1])
+
+    for name in "abcd":
+        ask(name)  # 2000 bytes each
+    ask("a")
+    assert made == [*"abcd"]
+    ask("e")  # 10,000 of 8000 in all: b, c and d go
+    for name in "aedcb":
+        ask(name)
+    assert made == [*"abcde", *"dcb"]
+    ask("large", 5000)
+    ask("large", 5000)
+    ask("larger", 5000)
+    ask("large", 5000)
+    assert made[-2:] == ["large", "larger"]
+
+
+def test_a_workspace_goes_with_what_it_made():
+    workspace = Workspace(get_backend("numpy"), "cpu")
+    array, kept = workspace.empty(5), weakref.ref(workspace)
+    del workspace
+    gc.collect()
+    assert kept() is None and array.size == 5
+
+
 def test_what_works_on_buffers_of_a_step_goes_with_it(workspace):
     """No key knows an array by its address, so that none can be taken for another one's."""
     workspace.most_kept = 1
