@@ -30,6 +30,7 @@ EXTRAS = {
     "jax": ("jax",),
     "distributed": ("distributed",),
     "line": ("paho", "httpx", "starlette", "uvicorn", "prometheus_client"),
+    "opcua": ("asyncua",),
 }
 """Extras, and the modules that they bring."""
 

@@ -34,6 +34,7 @@ from evqr.sinks.flight_recorder import FlightRecorder
 from evqr.sinks.json_lines import JsonLines
 from evqr.sinks.line_format import LineFormat
 from evqr.sinks.mqtt import Mqtt
+from evqr.sinks.opcua import OpcUa
 from evqr.sinks.outlet import Outlet
 from evqr.sinks.sink import Sink
 from evqr.sinks.tcp import TcpServer
@@ -334,3 +335,5 @@ def sinks_of(settings: ServiceSettings) -> Iterator[tuple[Sink, OutletSettings]]
     for webhook in settings.webhook:
         headers = None if webhook.bearer is None else {"Authorization": f"Bearer {webhook.bearer}"}
         yield Webhook(webhook.url, headers=headers), webhook
+    for opcua in settings.opcua:
+        yield OpcUa(opcua.endpoint), opcua

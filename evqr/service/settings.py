@@ -174,6 +174,19 @@ class WebhookSettings(OutletSettings):
 
 
 @dataclass(frozen=True, kw_only=True)
+class OpcUaSettings(OutletSettings):
+    """An OPC UA server.
+
+    Attributes
+    ----------
+    endpoint : str
+        Where to serve. Chosen: this machine alone.
+    """
+
+    endpoint: str = "opc.tcp://127.0.0.1:4840/evqr"
+
+
+@dataclass(frozen=True, kw_only=True)
 class RecorderSettings(Settings):
     """The flight recorder.
 
@@ -266,7 +279,7 @@ class ServiceSettings(Settings):
         How codes are read.
     job : str
         The job in use, of the tables ``jobs``. Default: none.
-    json_lines, database, tcp, mqtt, webhook : tuples of settings
+    json_lines, database, tcp, mqtt, webhook, opcua : tuples of settings
         Where records go; each any number of times.
     recorder : RecorderSettings
         The flight recorder.
@@ -290,6 +303,7 @@ class ServiceSettings(Settings):
     tcp: tuple[TcpSettings, ...] = ()
     mqtt: tuple[MqttSettings, ...] = ()
     webhook: tuple[WebhookSettings, ...] = ()
+    opcua: tuple[OpcUaSettings, ...] = ()
     recorder: RecorderSettings = field(default_factory=RecorderSettings)
     page: PageSettings = field(default_factory=PageSettings)
     watch: WatchSettings = field(default_factory=WatchSettings)

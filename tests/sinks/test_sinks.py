@@ -197,6 +197,12 @@ def test_a_client_that_does_not_read_is_dropped(monkeypatch):
         sink.close()
 
 
+def free_port():
+    with socket.socket() as free:
+        free.bind(("127.0.0.1", 0))
+        return free.getsockname()[1]
+
+
 def until(condition):
     ends = time.monotonic() + 10
     while not condition():
@@ -258,6 +264,27 @@ def test_a_post_that_is_refused_or_goes_nowhere(server):
     nowhere.close()
 
 
+# ---- OPC UA
+
+
+def test_the_last_part_is_served():
+    sync = pytest.importorskip("asyncua.sync", reason="extra 'opcua' is not installed")
+    from evqr.sinks.opcua import NAMESPACE, OpcUa
+
+    endpoint = f"opc.tcp://127.0.0.1:{free_port()}/evqr"
+    with Outlet(OpcUa(endpoint), retry_s=QUICK) as outlet:
+        outlet.put(part(6))
+        outlet.put({"record": "gap", "sequence": 7})
+        outlet.put(part(7, "a", "b", trigger=3))
+        until(lambda: outlet.status.delivered == 3)
+        with sync.Client(endpoint) as client:
+            space = client.get_namespace_index(NAMESPACE)
+            line = client.nodes.objects.get_child(f"{space}:Line")
+            names = ("Part", "Trigger", "Text", "Read", "PartsRead", "PartsNotRead")
+            values = [line.get_child(f"{space}:{name}").read_value() for name in names]
+    assert values == [7, 3, "a|b", True, 1, 1]
+
+
 # ---- MQTT
 
 
@@ -265,9 +292,7 @@ def test_a_post_that_is_refused_or_goes_nowhere(server):
 def broker():
     """A broker on a free port, in a thread: start and stop."""
     amqtt = pytest.importorskip("amqtt.broker", reason="extra 'test' is not installed")
-    with socket.socket() as free:
-        free.bind(("127.0.0.1", 0))
-        port = free.getsockname()[1]
+    port = free_port()
 
     class Running:
         def __init__(self):
