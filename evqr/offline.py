@@ -182,7 +182,7 @@ class _Codes:
         self.readings: dict[int, CodeReading] = {}
         self._good_score = good_score
         self._unread: list[CodeUnread] = []  # the best, best first
-        self._nearest = NotFound(Reason.NO_EVENTS, closest=-1.0)
+        self._nearest = NotFound(Reason.TOO_FEW_EVENTS, closest=-1.0)
         self._moving: tuple[float, Motion] | None = None
 
     def take(self, records: Sequence[StreamRecord]) -> None:

@@ -6,7 +6,7 @@ from dataclasses import FrozenInstanceError, fields
 import numpy as np
 import pytest
 from backends import BACKENDS
-from scenes import at, joined, keep, middle_us, noise, scene, true_corners
+from scenes import at, events_at, joined, keep, middle_us, noise, scene, true_corners
 
 import evqr
 from evqr import AlignConfig, ReadConfig, ReadStatus, Reason, Vote, read_codes, read_many, read_windows
@@ -311,6 +311,13 @@ def test_where_a_search_only_disagrees_its_best_candidate_is_told():
     assert f"{taken.score:.2f}" in nothing.reason
     off_px = np.abs(taken.corners_px - true_corners(made.truth["truth"], nothing.nearest.t_us)).max()
     assert off_px < 2.0 * made.scene.codes[0].module_px
+
+
+@pytest.mark.parametrize("times", [[7], [7, 7, 7], range(7, 70)])
+def test_a_few_events_are_too_few(times):
+    result = read_codes(events_at(times))
+    assert_nothing(result, words=2)
+    assert result.reason_code in (Reason.TOO_FEW_EVENTS, Reason.NOTHING_MOVES)
 
 
 @pytest.mark.parametrize("threads", [1, 2])
