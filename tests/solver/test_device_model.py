@@ -76,7 +76,7 @@ def test_a_loop_that_was_unrolled_does_several_steps_a_turn():
 
 
 def test_few_threads_wait_for_themselves_and_many_for_schedulers():
-    each = 100 + 10 * 300
+    each = 100 + 40 * 300 / 16  # 16 pixels at a time
     (one,) = modelled(clip_rows(1)).parts
     assert one.bound == "chain" and one.seconds == pytest.approx(each * 2.5e-9 + dm.GAP)
     (many,) = modelled(clip_rows(256 * 10 * 4)).parts  # four blocks of two warps a scheduler
@@ -103,10 +103,10 @@ def test_conjugate_gradients_that_have_ended_do_no_more_work():
 
 
 def test_a_batch_takes_what_its_parts_take():
-    launches = clip_rows(1), Launch("clear", None, 100, (), 400)
+    launches = clip_rows(1, width=1600), Launch("clear", None, 100, (), 400)
     m = modelled(*launches, uploads=2, downloads=1, up_bytes=3_000_000, down_bytes=1_000_000)
     assert m.bus == pytest.approx(4e-3) and m.copies == pytest.approx(44e-6)
-    assert m.launching == pytest.approx(8e-6) and m.device == pytest.approx(3100 * 2.5e-9 + 2 * dm.GAP)
+    assert m.launching == pytest.approx(8e-6) and m.device == pytest.approx(4100 * 2.5e-9 + 2 * dm.GAP)
     assert m.total == pytest.approx(1e-3 + 4e-3 + 44e-6 + m.device)
     assert {part.name: part.launches for part in m.parts} == {"clip_outliers.clip_rows": 1, "clear": 1}
 
