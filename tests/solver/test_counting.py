@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 from scenes import find, middle_us, motion_at, scene
 
+from evqr import ReadConfig, read_windows
 from evqr.events.batch import EventBatch
 from evqr.events.buffer import EventBuffer
 from evqr.events.packed import PackedEvents
@@ -176,3 +177,22 @@ def test_kernels_are_those_of_a_gpu_and_copies_are_copies():
     assert backend.counts.launches == 3
     assert backend.counts.kernels == {"clear": 3, "lag_operator": 6}
     assert backend.to_host(image)[0, 20, 20] == 50.0
+
+
+def test_windows_are_read_side_by_side_where_arrays_are_not_the_hosts(counting_over_warp):
+    """And say what they say one by one."""
+    events, config = scene(preset="fast", travel_px=30.0).events, ReadConfig(max_windows=6)
+
+    def read():
+        return list(read_windows(events, config=config, backend="counting"))
+
+    at_once = read()
+    counts, _ = counting.counted(counting_over_warp, read)
+    one_by_one = list(read_windows(events, config=config, backend="warp"))
+    assert [w.text for w in at_once] == [w.text for w in one_by_one] == ["EVQR-07"] * 6
+    for ours, theirs in zip(at_once, one_by_one, strict=True):
+        assert (ours.t_start_us, ours.t_end_us) == (theirs.t_start_us, theirs.t_end_us)
+        np.testing.assert_allclose(ours.affine, theirs.affine, atol=1e-3)
+    # one search of all, their hypotheses scored at once; motions coarsely and precisely
+    assert counts.kernels["local_maxima"] == counts.kernels["score_poses"] == 1
+    assert counts.kernels["surface_peak"] == 2
