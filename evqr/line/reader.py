@@ -62,7 +62,8 @@ STAMPS = 1 << 31
 class Reader:
     """Reads a stream of events that comes bit by bit; a context manager.
 
-    Calls are those of one thread, but `trigger`, which any may call.
+    Leaving its block closes it, too, but gives no records: call `close` for the last ones.  Calls are those
+    of one thread, but for `trigger`, which any may call.
 
     Parameters
     ----------
