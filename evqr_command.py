@@ -3,8 +3,9 @@
 It is no part of the package: loading that is what takes the time.
 """
 
+# signal itself makes enums of all signals first, and may be interrupted there
+import _signal  # pyright: ignore[reportMissingImports] (it has no stubs)
 import os
-import signal
 import sys
 
 
@@ -14,9 +15,9 @@ def _interrupted(number: int, frame: object) -> None:
 
 
 # not where Ctrl-C is ignored, as behind "&", nor in processes that multiprocessing starts: they load this too
-_ours = signal.getsignal(signal.SIGINT) is signal.default_int_handler and "__mp_main__" not in sys.modules
+_ours = _signal.getsignal(_signal.SIGINT) is _signal.default_int_handler and "__mp_main__" not in sys.modules
 if _ours:
-    signal.signal(signal.SIGINT, _interrupted)
+    _signal.signal(_signal.SIGINT, _interrupted)
 
 
 def main() -> None:
@@ -25,5 +26,5 @@ def main() -> None:
     from evqr.__main__ import main as run_and_exit
 
     if _ours:
-        signal.signal(signal.SIGINT, signal.default_int_handler)
+        _signal.signal(_signal.SIGINT, _signal.default_int_handler)
     run_and_exit()
