@@ -81,7 +81,7 @@ class FinderPass(Settings):
 
     least_module_px: NotNegative = 0.0
     floor: NotNegative = 0.5
-    min_first: Share = 0.3
+    min_first: Share = 0.27
     min_response: Share = 0.32
 
 
