@@ -24,7 +24,7 @@ def contrast(window: Window, travel: np.ndarray, cfg: SplatConfig) -> tuple[floa
     motion = (travel[None] / window.seconds).astype(np.float32)
     image = splat_events(*events, motion, shape=window.shape, cfg=cfg)
     adj_image = (2.0 / image.size) * (image - image.mean())
-    _, adj_motion = splat_events_adjoint(*events, motion, adj_image, cfg=cfg)
+    _, adj_motion, *_ = splat_events_adjoint(*events, motion, adj_image, cfg=cfg)
     return float(image.var()), adj_motion[0] / window.seconds
 
 

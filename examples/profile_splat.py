@@ -45,7 +45,9 @@ def main() -> int:
     image = backend.from_host(rng.normal(size=(batch, side, side)).astype(np.float32), device)
     inputs = (x, y, t, weight, window_ptr, motion, lag, frame)
     adjoints = make_scratch(backend, device, "splat_events_adjoint", B=batch, E=total, P=2)
-    adjoints += [backend.empty(shape, np.float32, device) for shape in ((total,), (batch, 2))]
+    adjoints += [
+        backend.empty(shape, np.float32, device) for shape in ((total,), (batch, 2), (total,), (total,))
+    ]
     cfg, times = SplatConfig(), []
     for _ in range(arguments.launches + 1):
         backend.synchronize(device)

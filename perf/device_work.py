@@ -122,6 +122,7 @@ WORK: dict[str, Callable[[Sizes], Work]] = {
     "time_surface.last_times": _events,
     "time_surface.decay_times": lambda s: Work(0, 1, 1),
     "event_histogram.event_histogram": _events,
+    "splat_events_adjoint.seen_where_it_moves": lambda s: Work(0, 1, 6),
     "lag_operator.lag_rows": lambda s: Work(0, s.of("taps"), 10),
     "lag_operator.lag_columns": lambda s: Work(0, s.of("taps"), 10),
     "align_poses.align_poses": _alignment,

@@ -519,17 +519,18 @@ def cost(size: Size, rng, dtype) -> Problem:
     splat, splat_adjoint, render, render_adjoint, residual, residual_adjoint = parts
     scratch = [splat.outputs[0], render.outputs[0], residual.outputs[0], residual_adjoint.outputs[1]]
     scratch += [part.outputs[0] for part in (splat_adjoint, render_adjoint, residual_adjoint)]
-    results = [*splat_adjoint.outputs[1:], *render_adjoint.outputs[1:], residual_adjoint.outputs[2]]
+    scratch += splat_adjoint.outputs[3:]
+    results = [*splat_adjoint.outputs[1:3], *render_adjoint.outputs[1:], residual_adjoint.outputs[2]]
     inputs = [*splat.inputs, *render.inputs, residual.inputs[2]]
     madds = sum(part.madds for part in parts)
-    return Problem("cost", inputs, [*scratch, *results], splat.items, madds, "event", scratch=7, run=run_cost)
+    return Problem("cost", inputs, [*scratch, *results], splat.items, madds, "event", scratch=9, run=run_cost)
 
 
 def run_cost(backend: KernelBackend, op: str, problem: Problem, inputs: list, outputs: list) -> None:
     """Launch the operations of the cost; its derivative with respect to a residual is the residual."""
     events, (grid, to_grid, outside, sigma), displacement = inputs[:8], inputs[8:12], inputs[12]
-    image, luminance, residual, adj_luminance, chunks, map_rows, rows = outputs[:7]
-    adj_weight, adj_motion, adj_grid, adj_map, adj_displacement = outputs[7:]
+    image, luminance, residual, adj_luminance, chunks, map_rows, rows, adj_x, adj_y = outputs[:9]
+    adj_weight, adj_motion, adj_grid, adj_map, adj_displacement = outputs[9:]
     backend.clear(image)
     backend.splat_events(*events, image, SPLAT)
     backend.render_code(grid, to_grid, outside, sigma, luminance)
@@ -537,7 +538,7 @@ def run_cost(backend: KernelBackend, op: str, problem: Problem, inputs: list, ou
     backend.brightness_residual_adjoint(
         luminance, displacement, residual, rows, adj_luminance, adj_displacement
     )
-    backend.splat_events_adjoint(*events, residual, chunks, adj_weight, adj_motion, SPLAT)
+    backend.splat_events_adjoint(*events, residual, chunks, adj_weight, adj_motion, adj_x, adj_y, SPLAT)
     backend.render_code_adjoint(grid, to_grid, outside, sigma, adj_luminance, map_rows, adj_grid, adj_map)
 
 

@@ -112,13 +112,13 @@ def splat_adjoint(problem: Problem) -> Run:
 
     events, window, motion, lag, frame, cfg = _splat_arguments(problem)
     (adj_image,) = _tensors(problem.inputs[8])
-    events[3].requires_grad_()
-    motion.requires_grad_()
+    varied = events[3], motion, events[0], events[1]
+    for tensor in varied:
+        tensor.requires_grad_()
     flat, shares = _splat(events, window, motion, lag, frame, adj_image, cfg)
     image = torch.zeros(adj_image.numel(), dtype=shares.dtype).scatter_add(0, flat, shares)
 
     def run() -> list[Any]:
-        varied = events[3], motion
         return list(torch.autograd.grad(image, varied, adj_image.view(-1), retain_graph=True))
 
     return run

@@ -10,9 +10,9 @@ from evqr_kernels.numpy_backend.splat import taps_of
 
 def splat_events_adjoint(
     x, y, t, weight, window_ptr, motion, lag, frame, adj_image, chunks_out, adj_weight_out, adj_motion_out,
-    cfg: SplatConfig,
+    adj_x_out, adj_y_out, cfg: SplatConfig,
 ) -> None:  # fmt: skip
-    """Adjoint of `splat_events` in weight and motion; overwrites."""
+    """Adjoint of `splat_events` in weight, motion and position; overwrites."""
     taps = taps_of(x, y, t, weight, window_ptr, motion, lag, frame, adj_image.shape, cfg)
     adj = np.zeros(taps.inside.shape, adj_image.dtype)
     window, row, column = (
@@ -31,8 +31,15 @@ def splat_events_adjoint(
     slope_x = total(taps.s_x - lag_x * taps.c_x, taps.g_y) - total(lag_y * taps.s_x, taps.s_y)
     slope_y = total(taps.g_x - lag_x * taps.s_x, taps.s_y) - total(lag_y * taps.g_x, taps.c_y)
     window = taps.window[:, 0, 0]
-    factor = weight[taps.event] * t[taps.event] / frame[window, 2]
-    adj_x, adj_y, dx, dy = factor * slope_x, factor * slope_y, taps.dx, taps.dy
+    along_x, along_y = (weight[taps.event] / frame[window, 2] * slope for slope in (slope_x, slope_y))
+    seen = t[taps.event]
+    # of (x, y) - t v(x, y), with v affine
+    field = motion[window, 2:] if motion.shape[1] == 6 else np.zeros((len(window), 4), motion.dtype)
+    xx, xy, yx, yy = seen * field.T
+    adj_x_out[:] = adj_y_out[:] = 0
+    adj_x_out[taps.event] = yx * along_y - (1 - xx) * along_x
+    adj_y_out[taps.event] = xy * along_x - (1 - yy) * along_y
+    adj_x, adj_y, dx, dy = seen * along_x, seen * along_y, taps.dx, taps.dy
     adj_motion = np.stack([adj_x, adj_y, adj_x * dx, adj_x * dy, adj_y * dx, adj_y * dy], axis=1)
     adj_motion_out[:] = 0
     np.add.at(adj_motion_out, window, adj_motion[:, : adj_motion_out.shape[1]])

@@ -129,6 +129,8 @@ OPERATIONS = (
             scratch("chunks_out", "B", PARTS, "P"),
             overwritten("adj_weight_out", "E"),
             overwritten("adj_motion_out", "B", "P"),
+            overwritten("adj_x_out", "E"),
+            overwritten("adj_y_out", "E"),
             SPLAT,
         ),
         variants=CHUNKED,

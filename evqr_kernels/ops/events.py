@@ -139,8 +139,8 @@ def splat_events_adjoint(
     x: Floats, y: Floats, t: Floats, weight: Floats, window_ptr: Ints, motion: Floats, adj_image: Floats, *,
     lag: Floats | None = None, frame: Floats | None = None, cfg: SplatConfig | None = None,
     backend: str = "auto", device: str | None = None,
-) -> tuple[Floats, Floats]:  # fmt: skip
-    """Adjoint of `splat_events` in weight and motion; lag and the direction of the motion are parameters.
+) -> tuple[Floats, Floats, Floats, Floats]:  # fmt: skip
+    """Adjoint of `splat_events` in weight, motion, position; lag and the motion's direction are parameters.
 
     Parameters
     ----------
@@ -157,6 +157,9 @@ def splat_events_adjoint(
         Derivative of the loss with respect to ``weight``; 0 for events that do not reach the image.
     adj_motion : (B, 2) or (B, 6) float [loss s/px, loss s]
         Derivative of the loss with respect to ``motion``.
+    adj_x, adj_y : (E,) float [loss / px]
+        Derivatives of the loss with respect to ``x`` and ``y``: whatever warp has made the positions, its own
+        derivatives take them on.
 
     Raises
     ------

@@ -1,4 +1,4 @@
-"""Adjoint of ``splat_events`` in the weights and the motion; see ``warp_backend/splat_adjoint.py``."""
+"""Adjoint of ``splat_events`` in weights, motion and positions; see ``warp_backend/splat_adjoint.py``."""
 
 from functools import cache
 
@@ -60,6 +60,8 @@ def make_splat_events_adjoint(dtype, cfg: SplatConfig, parameters: int):
         adj_image: array(dtype, 3),
         chunks_out: array(dtype, 3),
         adj_weight_out: array(dtype, 1),
+        adj_x_out: array(dtype, 1),
+        adj_y_out: array(dtype, 1),
     ):
         for window, chunk in ti.ndrange(chunks_out.shape[0], chunks_out.shape[1]):
             begin, end = events_of(window_ptr, window, x.shape[0])
@@ -82,6 +84,8 @@ def make_splat_events_adjoint(dtype, cfg: SplatConfig, parameters: int):
                 cx = transport(x[e], t[e], motion_x, origin_x, inverse_scale)
                 cy = transport(y[e], t[e], motion_y, origin_y, inverse_scale)
                 adj_w = dtype(0.0)
+                position_x = dtype(0.0)
+                position_y = dtype(0.0)
                 # also false for NaN
                 if (
                     cx > dtype(-margin)
@@ -124,10 +128,16 @@ def make_splat_events_adjoint(dtype, cfg: SplatConfig, parameters: int):
                     gauss_x, gx, sx = splat_taps(cx - dtype(column))
                     ahead = gx - lag_x * sx
                     adj_w = ahead.dot(by_g) - lag_y * gx.dot(by_s)
-                    factor = t[e] * inverse_scale * w
-                    adj_y = factor * (ahead.dot(by_s) - lag_y * gx.dot(by_c))
+                    slope_y = inverse_scale * w * (ahead.dot(by_s) - lag_y * gx.dot(by_c))
                     ahead = sx - lag_x * splat_curvature(gauss_x, cx - dtype(column))
-                    adj_x = factor * (ahead.dot(by_g) - lag_y * sx.dot(by_s))
+                    slope_x = inverse_scale * w * (ahead.dot(by_g) - lag_y * sx.dot(by_s))
+                    position_x = -slope_x
+                    position_y = -slope_y
+                    if ti.static(parameters == 6):
+                        position_x += t[e] * (motion[window, 2] * slope_x + motion[window, 4] * slope_y)
+                        position_y += t[e] * (motion[window, 3] * slope_x + motion[window, 5] * slope_y)
+                    adj_x = t[e] * slope_x
+                    adj_y = t[e] * slope_y
                     adj_motion[0] += adj_x
                     adj_motion[1] += adj_y
                     if ti.static(parameters == 6):
@@ -136,6 +146,8 @@ def make_splat_events_adjoint(dtype, cfg: SplatConfig, parameters: int):
                         adj_motion[4] += adj_y * dx
                         adj_motion[5] += adj_y * dy
                 adj_weight_out[e] = adj_w
+                adj_x_out[e] = position_x
+                adj_y_out[e] = position_y
             for k in ti.static(range(parameters)):
                 chunks_out[window, chunk, k] = adj_motion[k]
 
@@ -144,12 +156,14 @@ def make_splat_events_adjoint(dtype, cfg: SplatConfig, parameters: int):
 
 def splat_events_adjoint(
     x, y, t, weight, window_ptr, motion, lag, frame, adj_image, chunks_out, adj_weight_out, adj_motion_out,
-    cfg: SplatConfig,
+    adj_x_out, adj_y_out, cfg: SplatConfig,
 ) -> None:  # fmt: skip
     """Launch both passes; overwrites."""
-    clear(adj_weight_out)  # of events that no window names
+    for of_events in (adj_weight_out, adj_x_out, adj_y_out):
+        clear(of_events)  # that no window names
     launch(
         make_splat_events_adjoint(float_of(x), cfg, motion.shape[1]),
-        x, y, t, weight, window_ptr, motion, lag, frame, adj_image, chunks_out, adj_weight_out,
+        x, y, t, weight, window_ptr, motion, lag, frame, adj_image, chunks_out, adj_weight_out, adj_x_out,
+        adj_y_out,
     )  # fmt: skip
     add_partials(chunks_out, adj_motion_out)

@@ -20,6 +20,7 @@ to them:
 
     adj_w_i    = sum_x adj(x) e_i(x - c_i)
     adj_v_i    = (t_i / scale) w_i sum_x adj(x) grad e_i(x - c_i)
+    adj_x_i    = -(1 - t_i A)^T / scale w_i sum_x adj(x) grad e_i(x - c_i),      A of an affine motion
 """
 
 from functools import cache

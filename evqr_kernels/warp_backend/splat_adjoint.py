@@ -1,4 +1,4 @@
-"""Adjoint of ``splat_events`` in the weights and the motion; the formulas are in ``splat.py``.
+"""Adjoint of ``splat_events`` in weights, motion and positions; the formulas are in ``splat.py``.
 
 A gather: each thread takes a chunk of a window's events and reads the image's adjoint around each, so there
 is no atomic, and the sums over chunks are added up in a second pass.  With S the image's adjoint smoothed
@@ -31,11 +31,13 @@ from evqr_kernels.warp_backend.splat_profile import make_gauss_around, make_spla
 from evqr_kernels.warp_backend.splat_strips import holds_rows, make_gather_strips, strip_columns
 from evqr_kernels.warp_backend.sums import add_partials
 from evqr_kernels.warp_backend.transport import (
+    is_named,
     make_lag_along,
     make_middle,
     make_transport,
     make_velocity,
     make_velocity_adjoint,
+    window_of,
 )
 
 
@@ -173,6 +175,8 @@ def make_splat_events_adjoint(
         adj_rows: wp.array3d(dtype=vec_columns),
         chunks_out: wp.array2d(dtype=vec_parameters),
         adj_weight_out: wp.array(dtype=dtype),
+        adj_x_out: wp.array(dtype=dtype),
+        adj_y_out: wp.array(dtype=dtype),
     ):
         window, chunk = wp.tid()
         end = wp.clamp(window_ptr[window + 1], 0, x.shape[0])
@@ -194,7 +198,6 @@ def make_splat_events_adjoint(
             motion_x, motion_y = velocity(motion[window], dx, dy)
             cx = transport(x[e], t[e], motion_x, origin_x, inverse_scale)
             cy = transport(y[e], t[e], motion_y, origin_y, inverse_scale)
-            adj_w = dtype(0.0)
             # also false for NaN
             if (
                 cx > dtype(-margin)
@@ -205,25 +208,58 @@ def make_splat_events_adjoint(
                 w = weight[e]
                 lag_px = wp.where(w < dtype(0.0), lag_off, lag_on)
                 adj_w, slope_x, slope_y = gather(adj_rows, window, cx, cy, lag_px, motion_x, motion_y)
-                factor = t[e] * inverse_scale * w
-                adj = velocity_adjoint(factor * slope_x, factor * slope_y, dx, dy)
+                slope_x *= inverse_scale * w
+                slope_y *= inverse_scale * w
+                # what belongs to an event is 0 already
+                adj_weight_out[e] = adj_w
+                adj_x_out[e] = -slope_x
+                adj_y_out[e] = -slope_y
+                adj = velocity_adjoint(t[e] * slope_x, t[e] * slope_y, dx, dy)
                 # the sums are in memory: no register is left for them, and `+=` would be atomic
                 chunks_out[window, chunk] = chunks_out[window, chunk] + adj
-            adj_weight_out[e] = adj_w
 
     return splat_events_adjoint
 
 
+@cache
+def make_seen_where_it_moves(dtype: type) -> wp.Kernel:
+    """Build the adjoint of an affine motion's transport in where events were seen; launch: one thread each.
+
+    A pass of its own: the one before has no register left.
+    """
+
+    @wp.kernel(module=module_of("splat_adjoint", dtype))
+    def seen_where_it_moves(
+        t: wp.array(dtype=dtype),
+        window_ptr: wp.array(dtype=wp.int32),
+        motion: wp.array2d(dtype=dtype),
+        adj_x_inout: wp.array(dtype=dtype),
+        adj_y_inout: wp.array(dtype=dtype),
+    ):
+        e = wp.tid()
+        if not is_named(window_ptr, e):
+            return
+        b = window_of(window_ptr, e)
+        adj_x = adj_x_inout[e]
+        adj_y = adj_y_inout[e]
+        if adj_x == dtype(0.0) and adj_y == dtype(0.0):  # dropped, perhaps of a time that is not finite
+            return
+        adj_x_inout[e] = adj_x - t[e] * (motion[b, 2] * adj_x + motion[b, 4] * adj_y)
+        adj_y_inout[e] = adj_y - t[e] * (motion[b, 3] * adj_x + motion[b, 5] * adj_y)
+
+    return seen_where_it_moves
+
+
 def splat_events_adjoint(
     x, y, t, weight, window_ptr, motion, lag, frame, adj_image, chunks_out, adj_weight_out, adj_motion_out,
-    cfg: SplatConfig,
+    adj_x_out, adj_y_out, cfg: SplatConfig,
 ) -> None:  # fmt: skip
     """Launch both passes; overwrites."""
+    for of_events in (adj_weight_out, adj_x_out, adj_y_out):
+        clear(of_events)  # that do not reach the image, or that no window names
     if not adj_image.size:  # no pixel to read
-        clear(adj_weight_out)
         clear(adj_motion_out)
         return
-    clear(adj_weight_out)  # of events that no window names
     on_cpu, width = holds_rows(x.device), adj_image.shape[2]
     columns = min(2 * cfg.reach + 1, width) if on_cpu else strip_columns(cfg, width)
     launch(
@@ -241,7 +277,15 @@ def splat_events_adjoint(
             adj_image,
             neighbours(adj_image, columns),
         ],
-        outputs=[last_axis_as_vector(chunks_out), adj_weight_out],
+        outputs=[last_axis_as_vector(chunks_out), adj_weight_out, adj_x_out, adj_y_out],
         device=x.device,
     )
     add_partials(chunks_out, adj_motion_out)
+    if motion.shape[1] == 6:
+        launch(
+            make_seen_where_it_moves(x.dtype),
+            x.shape[0],
+            inputs=[t, window_ptr, motion],
+            outputs=[adj_x_out, adj_y_out],
+            device=x.device,
+        )

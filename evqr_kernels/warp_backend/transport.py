@@ -7,7 +7,8 @@ An event at x, seen t after it, comes from ``x - t v(x)``, in pixels of an image
     v(x) = m + A (x - c)                   6 parameters: m_x, m_y, A_xx, A_xy, A_yx, A_yy
 
 with c the middle of the image, so that m is what the image does as a whole and A how it turns and grows.
-Adjoint, for f = d loss / d v of one event: ``adj_m = f``, ``adj_A = f (x - c)^T``.
+Adjoint, for f = d loss / d v of one event: ``adj_m = f``, ``adj_A = f (x - c)^T``; and, for g = d loss / d
+(x - t v), ``adj_x = (1 - t A)^T g``.
 """
 
 from functools import cache

@@ -31,7 +31,7 @@ def splat_events(rng, dtype, parameters=2):
     if parameters == 6:
         arrays["motion"] = np.hstack([arrays["motion"], cases.affine_motion(rng, dtype)])
     cfg = SplatConfig(epsilon_px=1.1)
-    return Case("splat_events", arrays, ("weight", "motion"), {"shape": SHAPE, "cfg": cfg})
+    return Case("splat_events", arrays, ("weight", "motion", "x", "y"), {"shape": SHAPE, "cfg": cfg})
 
 
 def splat_events_affine(rng, dtype):

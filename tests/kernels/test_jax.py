@@ -87,10 +87,10 @@ def test_inputs_without_an_adjoint_get_zero(rng):
     case = splat_events(rng, np.float32)
     given = arrays_of(case)
 
-    def loss(x):
-        return evqr_kernels.jax.splat_events(**{**given, "x": x}, **case.options).var()
+    def loss(t):
+        return evqr_kernels.jax.splat_events(**{**given, "t": t}, **case.options).var()
 
-    np.testing.assert_array_equal(jax.grad(loss)(given["x"]), 0)
+    np.testing.assert_array_equal(jax.grad(loss)(given["t"]), 0)
 
 
 def test_one_after_the_other_under_vmap(rng):

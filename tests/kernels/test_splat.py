@@ -118,7 +118,7 @@ def test_adjoint_in_the_weights(placed, dtype, rng):
     call.inputs[3] = np.abs(call.inputs[3])
     call.outputs[0][:] = 0
     back.inputs[:8] = call.inputs
-    adj_weight, _ = back.run(placed)
+    adj_weight, *_ = back.run(placed)
     (image,) = call.run(placed)
     assert_adjoint(image, back.inputs[8], call.inputs[3], adj_weight)
 
@@ -136,13 +136,9 @@ def test_adjoint_in_the_motion(lag, affine, placed, rng):
     if affine:
         inputs[5] = motion = np.hstack([motion, cases.affine_motion(rng, np.float64)])
         unit = np.r_[unit, np.full(4, 1e3 / cases.X)]
-        back.outputs = [
-            filled((cases.B, 5, 6), np.float64),
-            back.outputs[1],
-            filled((cases.B, 6), np.float64),
-        ]
+        back.outputs[0], back.outputs[2] = (filled(s, np.float64) for s in ((cases.B, 5, 6), (cases.B, 6)))
     back.inputs = [*inputs, adj_image]
-    _, adj_motion = back.run(placed)
+    _, adj_motion, *_ = back.run(placed)
 
     def loss(motion):
         call = cases.splat_events(rng, np.float64)
@@ -154,6 +150,26 @@ def test_adjoint_in_the_motion(lag, affine, placed, rng):
     if not lag:
         directions += list(np.eye(len(unit))[:, None, :] * np.ones((cases.B, 1)) * unit)
     assert_differences(loss, motion, adj_motion, directions)
+
+
+@pytest.mark.parametrize("affine", [False, True], ids=["uniform", "affine"])
+@pytest.mark.parametrize("axis", [0, 1])
+def test_adjoint_in_the_positions(axis, affine, placed, rng):
+    """With a lag too where the motion does not depend on the place; else its direction is a parameter."""
+    back = cases.splat_events_adjoint(rng, np.float64)
+    if affine:
+        back = cases.splat_events_affine_adjoint(rng, np.float64)
+        back.inputs[6][:] = 0
+        back.inputs[5][:, 2:] *= 10  # so that it tells
+    *inputs, adj_image = back.inputs
+    gradient = back.run(placed)[2 + axis]
+
+    def loss(places):
+        call = cases.splat_events(rng, np.float64)
+        call.inputs = [*inputs[:axis], places, *inputs[axis + 1 :]]
+        return np.vdot(call.run(placed)[0], adj_image)
+
+    assert_differences(loss, inputs[axis], gradient, rng.normal(size=(3, len(gradient))))
 
 
 def test_affine_motion_turns_about_the_middle_of_the_image():
@@ -205,8 +221,8 @@ def test_no_events(op, placed, dtype, rng):
 def test_adjoint_without_events(placed, dtype, rng):
     back = cases.splat_events_adjoint(rng, dtype)
     back.inputs[:5] = [*(column[:0] for column in back.inputs[:4]), np.zeros(cases.B + 1, np.int32)]
-    back.outputs[1] = filled(0, dtype)
-    adj_weight, adj_motion = back.run(placed)
+    back.outputs[1], *back.outputs[3:] = (filled(0, dtype) for _ in range(3))
+    adj_weight, adj_motion, *_ = back.run(placed)
     assert adj_weight.shape == (0,)
     np.testing.assert_array_equal(adj_motion, 0)
 
@@ -261,9 +277,10 @@ def test_adjoint_of_windows_of_a_size_is_that_of_each(most, placed, dtype, rng):
         np.zeros((windows, most, 2), dtype),
         np.zeros(count * windows, dtype),
         np.zeros((windows, 2), dtype),
+        *np.zeros((2, count * windows), dtype),
     ]
     call.inputs, call.outputs = [x, y, t, weight, ptr, *rest], outputs
-    together = call.run(placed)[-1]
+    together = call.run(placed)[1]
     for b in range(windows):
         events = slice(ptr[b], ptr[b + 1])
         call.inputs = [array[events] for array in (x, y, t, weight)] + [
@@ -271,7 +288,8 @@ def test_adjoint_of_windows_of_a_size_is_that_of_each(most, placed, dtype, rng):
             *(a[b : b + 1] for a in rest),
         ]
         call.outputs = [np.zeros((1, most, 2), dtype), np.zeros(count, dtype), np.zeros((1, 2), dtype)]
-        np.testing.assert_array_equal(call.run(placed)[-1][0], together[b])
+        call.outputs += [*np.zeros((2, count), dtype)]
+        np.testing.assert_array_equal(call.run(placed)[1][0], together[b])
 
 
 def test_scratch_of_the_adjoint_grows_with_the_events_alone():

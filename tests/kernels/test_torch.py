@@ -133,9 +133,9 @@ def test_no_copy_is_made(monkeypatch, rng):
         ),
         ({"window_ptr": lambda p: p.float()}, TypeError, "window_ptr must be int32, got float32"),
         (
-            {"x": lambda x: x.requires_grad_()},
+            {"t": lambda t: t.requires_grad_()},
             ValueError,
-            "x must not require a gradient: splat_events",
+            "t must not require a gradient: splat_events has one in weight, motion, x, y",
         ),
         ({"x": lambda x: x.numpy()}, TypeError, "x must be a torch.Tensor, got ndarray"),
     ],
