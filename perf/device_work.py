@@ -109,8 +109,8 @@ def _reduced(s: Sizes) -> Work:
     return Work(blocks + s.of("image_out"), blocks * rows, 16)
 
 
-def _disc(s: Sizes) -> Work:
-    return Work(s.of("spans", 0), math.pi / 4 * s.of("spans", 0) ** 2, 9)
+def _disc(s: Sizes, loads: int) -> Work:
+    return Work(s.of("spans", 0), math.pi / 4 * s.of("spans", 0) ** 2, loads)
 
 
 WORK: dict[str, Callable[[Sizes], Work]] = {
@@ -144,10 +144,10 @@ WORK: dict[str, Callable[[Sizes], Work]] = {
     "mix_images.mix_images": lambda s: Work(0, s.of("weight"), 17),
     "correlate_templates.running_squares": lambda s: Work(0, s.of("image", 1), 4),
     "correlate_templates.quiet_floor": lambda s: Work(0, s.of("image"), 1),
-    "correlate_templates.correlate_basis": _disc,
-    "correlate_templates.best_template": lambda s: Work(
-        s.of("response_out"), BUSY * s.of("response_out") * s.of("mix", 0), 5
-    ),
+    # a thread takes some neighbours on a GPU, not a row
+    "correlate_templates.correlate_first": lambda s: _disc(s, 5),
+    "correlate_templates.correlate_others": lambda s: _disc(s, 9),
+    "correlate_templates.best_template": lambda s: Work(1, BUSY * s.of("mix", 1), 5),
     "local_maxima.local_maxima": lambda s: Work(s.of("response"), BUSY * s.of("response") * 9, 1),
     "merge_maxima.merge_maxima": _merged,
     "match_corners.match_corners": lambda s: Work(s.of("peaks", 1), s.of("peaks", 1), 0),

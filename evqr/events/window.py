@@ -43,9 +43,10 @@ class Window:
         self.end_us = end_us
         self.origin = origin
         self._stamps = stamps
+        self._n_events = len(events)  # asked for again and again
 
     def __len__(self) -> int:
-        return len(self.events)
+        return self._n_events
 
     @property
     def width(self) -> int:
