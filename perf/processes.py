@@ -52,6 +52,11 @@ runpy.run_module("evqr", run_name="__main__")
 
 LOAD = """
 import importlib, sys
+try:
+    from evqr.cli.running import collect_garbage_rarely as as_the_command_does
+    as_the_command_does()
+except ImportError:
+    pass  # commits that had none
 for name in open(sys.argv[1]).read().split():
     if not name.endswith("__main__"):
         try:
