@@ -99,5 +99,5 @@ def test_every_prefix(tmp_path, good, kind):
         events = read_or_explain(path)
         # What is stored event by event or in packets is read as far as it goes; nothing else may pass for
         # whole.
-        by_event = ("h5", "text", "npy", "evt2", "evt3", "dat", "aedat4")
+        by_event = ("h5", "bag", "text", "npy", "evt2", "evt3", "dat", "aedat4")
         assert events is None or (kind in by_event and len(events) <= len(EVENTS))
