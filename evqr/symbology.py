@@ -15,9 +15,9 @@ class Symbology(str, Enum):
     RMQR_CODE = "RMQRCode"
     """ISO/IEC 23941"""
     DATA_MATRIX = "DataMatrix"
-    """ISO/IEC 16022; not read yet"""
+    """ISO/IEC 16022; not searched for yet"""
     AZTEC = "Aztec"
-    """ISO/IEC 24778; not read yet"""
+    """ISO/IEC 24778"""
 
     def __str__(self) -> str:
         return self.value
@@ -52,7 +52,7 @@ class Symbology(str, Enum):
             raise ValueError(f"symbology must be one of {', '.join(cls)}, got {name!r}") from None
 
 
-SEARCHED = (Symbology.QR_CODE, Symbology.MICRO_QR_CODE, Symbology.RMQR_CODE)
+SEARCHED = (Symbology.QR_CODE, Symbology.MICRO_QR_CODE, Symbology.RMQR_CODE, Symbology.AZTEC)
 """Kinds that the search finds; of the others grids are decoded."""
 
 

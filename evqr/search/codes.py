@@ -20,18 +20,21 @@ from evqr.clock import StageClock
 from evqr.config import ReadConfig
 from evqr.events.batch import EventBatch
 from evqr.fit.detection import NO_LAG, Detection, NotFound, Target
+from evqr.fit.modules import solve_modules, weight_of
 from evqr.fit.refine import complete, refine
-from evqr.geometry import inverse
+from evqr.geometry import compose, inverse
 from evqr.motion import Motion
 from evqr.reason import Reason
+from evqr.search.bulls_eyes import codes_of_bulls_eyes
 from evqr.search.finder import Found, finding
 from evqr.search.hypothesis import Hypotheses
-from evqr.search.models import kinds_of, sizes
+from evqr.search.models import cores, kinds_of, sizes
 from evqr.search.pyramid import Pyramid
 from evqr.search.score import score
 from evqr.search.screen import Candidate, screen
 from evqr.search.singles import codes_of_singles, with_single_patterns
 from evqr.search.triples import codes_of_triples
+from evqr.symbol.symbols import SYMBOLS
 from evqr.symbology import Symbology
 from evqr.workspace import Workspace
 
@@ -87,7 +90,8 @@ class _Window:
         """Give the finder patterns that are each tried as the only one of a code."""
         self._failures, self._most = 0, self._cfg.finder.single_tries
         self._matching, self._match = self._matching[:0], self._match[:0]
-        none = self.sure or not with_single_patterns(self._cfg.symbologies)
+        asked = self._cfg.symbologies
+        none = self.sure or not (with_single_patterns(asked) or Symbology.AZTEC in asked)
         return np.flatnonzero(~self._taken)[: 0 if none else self._cfg.finder.single_patterns]
 
     def scored(self, hypotheses: Hypotheses, scores: NDArray[np.float32], least: float) -> None:
@@ -120,6 +124,8 @@ class _Window:
                 break
             patterns = self._matching.peaks[k]
             same = (self._matching.peaks == patterns).all(axis=1)
+            # a bull's eye agrees with a finder pattern too well to be weighed against it
+            same &= cores()[self._matching.size] == cores()[self._matching.size[k]]
             chosen.append(_Row(self, self._matching[same]))
             self._matching, self._match = self._matching[~same], self._match[~same]
             used.update(patterns.tolist())
@@ -306,6 +312,14 @@ def _score_singles(
         _score_all(
             list(zip(windows, parts, strict=True)), pyramid, cfg.finder.min_single_match, cfg, workspace
         )
+        if Symbology.AZTEC in cfg.symbologies:
+            hypotheses, of_each, scores = codes_of_bulls_eyes(
+                peaks, np.concatenate(which), of_window, pyramid, cfg.align, workspace=workspace
+            )
+            for k in np.unique(of_each).tolist():
+                its = of_each == k
+                both = np.column_stack([scores[its], scores[its]])
+                windows[k].scored(hypotheses[its], both, cfg.finder.min_single_match)
     return True
 
 
@@ -381,11 +395,49 @@ def _try(
         workspace=workspace,
         clock=clock,
     )
+    codes = _as_shown(picked.pick([k for k, _, _ in good]), codes, cfg, workspace, clock)
     for (_, window, _), code in zip(good, codes, strict=True):
-        if code.space.single_pattern and code.score < one.single_score:
+        unread = code.space.version in SYMBOLS[code.space.symbology].cores
+        if unread or (code.space.single_pattern and code.score < one.single_score):
             window.failed(code.score, code.target)
         else:
             window.found(code)
+
+
+def _as_shown(
+    batch: EventBatch,
+    codes: list[Detection],
+    cfg: ReadConfig,
+    workspace: Workspace,
+    clock: StageClock,
+) -> list[Detection]:
+    """Give codes, of a window each, as their modules say that they are, where known modules do not tell."""
+    asked = [k for k, code in enumerate(codes) if SYMBOLS[code.space.symbology].shown]
+    if not asked:
+        return codes
+    with clock("stage_two"):
+        weights = [weight_of(codes[k].noise) for k in asked]
+        equations = [codes[k].equations for k in asked]
+        grids = solve_modules(equations, cfg.modules, workspace=workspace, weights=weights)
+    larger: list[tuple[int, Candidate]] = []
+    for k, grid in zip(asked, grids, strict=True):
+        found = codes[k]
+        shown = SYMBOLS[found.space.symbology].shown
+        said = shown(grid.q.astype(np.float64), found.space) if shown else None
+        if said is not None:
+            space, to_found = said
+            larger.append((k, Candidate(space, compose(found.target.pose, to_found), found.score, 0)))
+    if not larger:
+        return codes
+    picked, taus = batch.pick([k for k, _ in larger]), [codes[k].target.tau_us for k, _ in larger]
+    with clock("stage_one"):
+        refined = refine(
+            picked, [codes[k].target.motion for k, _ in larger], [[each] for _, each in larger], taus, cfg,
+            workspace=workspace,
+        )  # fmt: skip
+    again = complete(picked, refined, taus, cfg, workspace=workspace, clock=clock)
+    shown_as = {k: code for (k, _), code in zip(larger, again, strict=True)}
+    return [shown_as.get(k, code) for k, code in enumerate(codes)]
 
 
 def _sizes_of(hypotheses: Hypotheses, most: int) -> list[Candidate]:

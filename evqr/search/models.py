@@ -16,6 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from evqr.fit.model import profiles
+from evqr.symbol import aztec
 from evqr.symbol.space import Anchor, Landmark, Timing, Version, closed
 from evqr.symbol.symbols import SYMBOLS
 from evqr.symbology import Symbology
@@ -49,10 +50,14 @@ class Size:
 
 @functools.cache
 def sizes() -> tuple[Size, ...]:
-    """All sizes of symbols with one or three finder patterns, then heads: `Models` are in this order."""
+    """All sizes that are found: `Models` are in this order.
+
+    Cores of symbols about a bull's eye, those with one or three finder patterns, and heads.
+    """
     found = []
     names = [(symbology, version) for symbology, symbol in SYMBOLS.items() for version in symbol.sizes]
     names += [(symbology, head) for symbology, symbol in SYMBOLS.items() for head in symbol.heads]
+    found += [Size(Symbology.AZTEC, version, aztec.anchors(version)) for version in aztec.CORES]
     for symbology, version in names:
         every = SYMBOLS[symbology].anchors(version)
         anchors = tuple(anchor for anchor in every if anchor.kind is Landmark.FINDER_PATTERN)
@@ -72,6 +77,12 @@ def heads() -> Mapping[int, NDArray[np.intp]]:
             for head, versions in symbol.heads.items()
         }
     )
+
+
+@functools.cache
+def cores() -> NDArray[np.bool_]:
+    """Return which of `sizes` are cores of symbols about a bull's eye."""
+    return closed(np.array([size.version in SYMBOLS[size.symbology].cores for size in sizes()]))
 
 
 @functools.cache
@@ -104,7 +115,8 @@ def models() -> Models:
     ptr = np.zeros((len(sizes()) + 1, 3), np.int32)
     end = 0
     for k, size in enumerate(sizes()):
-        patterns = [_pattern() + np.array((anchor.u, anchor.v, 0.0, 0.0)) for anchor in size.anchors]
+        finders = [anchor for anchor in size.anchors if anchor.kind is Landmark.FINDER_PATTERN]
+        patterns = [_pattern() + np.array((anchor.u, anchor.v, 0.0, 0.0)) for anchor in finders]
         lines = [_line(timing) for timing in SYMBOLS[size.symbology].timing(size.version)]
         middle = end + sum(map(len, patterns))
         ptr[k] = end, middle, middle + sum(map(len, lines))

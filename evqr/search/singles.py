@@ -76,7 +76,11 @@ def _heads(symbologies: tuple[Symbology, ...]) -> tuple[NDArray[np.intp], NDArra
 
 
 def _with_one_pattern(symbologies: tuple[Symbology, ...]) -> list[int]:
-    return [k for k in np.flatnonzero(kinds_of(symbologies)).tolist() if len(sizes()[k].anchors) == 1]
+    return [
+        k
+        for k in np.flatnonzero(kinds_of(symbologies)).tolist()
+        if [anchor.kind for anchor in sizes()[k].anchors] == [Landmark.FINDER_PATTERN]
+    ]
 
 
 def _turned(which: list[int], hands: tuple[int, ...]) -> tuple[NDArray[np.intp], NDArray[np.float64]]:

@@ -9,7 +9,7 @@ from __future__ import annotations
 import functools
 import math
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from types import MappingProxyType
 
 import numpy as np
@@ -18,15 +18,24 @@ from numpy.typing import NDArray
 from evqr.clock import one_time
 from evqr.config import DecodeConfig
 from evqr.reason import Reason
-from evqr.symbol.aztec_tables import FIELDS, TABLE, function_patterns, mode_places, mode_words, placement
+from evqr.symbol.aztec_tables import (
+    FIELDS,
+    TABLE,
+    bulls_eye,
+    function_patterns,
+    mode_code,
+    mode_places,
+    mode_words,
+    placement,
+)
 from evqr.symbol.chance import ORIENTATIONS, confidence
 from evqr.symbol.content import content_of
-from evqr.symbol.correct import Doubt, bits_of, correct_block
+from evqr.symbol.correct import Doubt, bits_of, correct_block, words_of
 from evqr.symbol.decoded import Decoded, DecodeFailure, Effort
 from evqr.symbol.format_words import likely_words
 from evqr.symbol.payload import Payload
 from evqr.symbol.reed_solomon import ReedSolomon, Symbols
-from evqr.symbol.space import Anchor, CodeSpace, Timing, closed
+from evqr.symbol.space import Anchor, CodeSpace, Landmark, Timing, closed
 from evqr.symbology import Symbology
 
 QUIET_ZONE = 0
@@ -35,26 +44,41 @@ SIZES: Mapping[str, tuple[int, int]] = MappingProxyType(
 )
 
 
+_TINY = float(np.finfo(np.float64).tiny)
+
+LEAST_MATCH = 0.6
+"""Correlation of a mode message with the modules that it is read from, for it to be believed."""
+
+CORES: Mapping[str, str] = MappingProxyType({"C": "C1", "F": "F1"})
+"""Bull's eyes of compact symbols and those of full range, with the smallest symbols about them: all that is
+known before the mode message tells size and direction."""
+
+
 def anchors(version: str) -> tuple[Anchor, ...]:
-    """Return what the search looks for: nothing yet."""
-    return ()
+    """Return the bull's eye of a version, in its middle."""
+    middle = SIZES[CORES.get(version, version)][0] / 2.0
+    return (Anchor(Landmark.BULLS_EYE, middle, middle),)
 
 
 def timing(version: str) -> tuple[Timing, ...]:
-    """Return the timing patterns that the search scores by: none yet."""
+    """Return the timing patterns that the search scores by: none."""
     return ()
 
 
 @functools.cache
 @one_time()
 def space(version: str) -> CodeSpace:
-    """Return the code space of a version.
+    """Return the code space of a version, or of a core.
 
     Raises
     ------
     ValueError
-        Not a version from C1 to C4 or F1 to F32.
+        Not a version from C1 to C4 or F1 to F32, nor C or F.
     """
+    if version in CORES:
+        size = TABLE[CORES[version]]
+        values = np.where(bulls_eye(size), function_patterns(size), np.int8(0))
+        return replace(space(CORES[version]), version=version, known=values != 0, values=values)
     if version not in TABLE:
         raise ValueError(f"version must be one of {', '.join(TABLE)}, got {version}")
     values = function_patterns(TABLE[version])
@@ -66,6 +90,9 @@ def space(version: str) -> CodeSpace:
         anchors=anchors(version),
         quiet_zone=QUIET_ZONE,
     )
+
+
+_space = space  # where an argument has that name
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
@@ -90,6 +117,50 @@ def modes_of(version: str) -> Modes:
     """Return the mode messages of a version: those that leave codewords for error correction."""
     size = TABLE[version]
     return Modes(at=closed(mode_places(size)), signs=closed(mode_words(size)[: size.n_codewords - 1]))
+
+
+def shown(q: NDArray[np.float64], space: CodeSpace) -> tuple[CodeSpace, NDArray[np.float64]] | None:
+    """Return what the mode message in a grid says: which size the symbol has, and how it is turned.
+
+    Bull's eyes look alike in all directions, and about one all compact symbols have the same modules known,
+    those of full range nearly so.
+
+    Parameters
+    ----------
+    q : (n, n) float64
+        Modules about the bull's eye, in any direction.
+    space : CodeSpace
+        That they were taken for.
+
+    Returns
+    -------
+    shown : (CodeSpace, (3, 3) float64), or None
+        The code space, and a map of its code coordinates to those of ``space``; None: no message was read.
+    """
+    version = CORES[str(space.version)]
+    compact = TABLE[version].compact
+    at, code = modes_of(version).at, mode_code(TABLE[version])
+    v, u = np.indices(q.shape)
+    best, found = LEAST_MATCH, None
+    for turn in range(8):
+        grid, grid_u, grid_v = (np.rot90(each.T if turn > 3 else each, turn % 4) for each in (q, u, v))
+        soft = grid.ravel()[at]
+        doubtful = np.argsort(np.abs(soft).reshape(-1, 4).min(axis=1), kind="stable").tolist()
+        tries = (code.correct(words_of(soft < 0.0, code), doubtful[:n_erased]) for n_erased in (0, 2))
+        bits = next((bits_of(words, code) for words in tries if words is not None), None)
+        if bits is None:
+            continue
+        match = float(np.where(bits, -soft, soft).sum()) / max(float(np.abs(soft).sum()), _TINY)
+        if match > best:
+            layers = 1 + int("".join("01"[bit] for bit in bits[: 2 if compact else 5].astype(int)), 2)
+            along = [(each[0, 1] - each[0, 0], each[1, 0] - each[0, 0]) for each in (grid_u, grid_v)]
+            best, found = match, (f"{version[0]}{layers}", along)
+    if found is None:
+        return None
+    whole, to_found = _space(found[0]), np.eye(3)
+    to_found[:2, :2] = found[1]
+    to_found[:2, 2] = 0.5 * space.size - 0.5 * whole.size * to_found[:2, :2].sum(axis=1)
+    return whole, to_found
 
 
 def code_of(version: str, n_data: int) -> ReedSolomon:

@@ -87,9 +87,8 @@ def function_patterns(size: Size) -> NDArray[np.int8]:
     if not size.compact:
         lines = (row % GRID == 0) | (column % GRID == 0)
         values[lines] = np.where((row + column) % 2, 1, -1)[lines]
-    ring = np.maximum(row, column)
-    bull = ring < core
-    values[bull] = np.where(ring % 2, 1, -1)[bull]
+    bull = bulls_eye(size)
+    values[bull] = np.where(np.maximum(row, column) % 2, 1, -1)[bull]
     marks = values[centre - core : centre + core + 1, centre - core : centre + core + 1]
     marks[:2, :2][[0, 0, 1], [0, 1, 0]] = (
         -1,
@@ -100,6 +99,12 @@ def function_patterns(size: Size) -> NDArray[np.int8]:
     marks[-2:, -2:][[0, 1, 1], [1, 1, 0]] = -1, 1, 1
     marks[-2:, :2][[0, 1, 1], [0, 0, 1]] = 1, 1, 1
     return values
+
+
+def bulls_eye(size: Size) -> NDArray[np.bool_]:
+    """Return the modules of the bull's eye (n, n), the light ring about it included where that is known."""
+    row, column = np.abs(np.indices((size.side, size.side)) - size.side // 2)
+    return np.maximum(row, column) < size.core
 
 
 def mode_places(size: Size) -> NDArray[np.intp]:
@@ -118,16 +123,18 @@ def mode_words(size: Size) -> NDArray[np.float64]:
     """Return the mode messages (K, 28) or (K, 40) of 1 to K data codewords: -1 dark, +1 light."""
     count = np.arange(size.n_codewords)
     if size.compact:
-        said, nibbles, code = (size.layers - 1 << 6) + count[:64], 2, ReedSolomon(**_MODE, n_check=5)
+        said, nibbles = (size.layers - 1 << 6) + count[:64], 2
     else:
-        said, nibbles, code = (size.layers - 1 << 11) + count[:2048], 4, ReedSolomon(**_MODE, n_check=6)
+        said, nibbles = (size.layers - 1 << 11) + count[:2048], 4
     data = (said[:, None] >> 4 * np.arange(nibbles)[::-1] & 15).astype(np.uint8)
-    words = np.array([code.encode(each) for each in data])
+    words = np.array([mode_code(size).encode(each) for each in data])
     bits = words[:, :, None] >> np.arange(4)[::-1] & 1
     return np.where(bits, -1.0, 1.0).reshape(len(words), -1)
 
 
-_MODE = {"polynomial": MODE_FIELD, "first_root": 1}
+def mode_code(size: Size) -> ReedSolomon:
+    """Return what the mode message of a size is a word of."""
+    return ReedSolomon(polynomial=MODE_FIELD, n_check=5 if size.compact else 6, first_root=1)
 
 
 @functools.cache

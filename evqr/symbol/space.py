@@ -24,6 +24,8 @@ class Landmark(str, Enum):
 
     FINDER_PATTERN = "finder pattern"
     """squares of 7, 5 and 3 modules in one another: dark, light, dark"""
+    BULLS_EYE = "bull's eye"
+    """squares of 9, 7, 5, 3 and 1 modules in one another: dark and light in turn"""
 
 
 @dataclass(frozen=True)

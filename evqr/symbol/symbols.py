@@ -25,6 +25,10 @@ def _none(q: NDArray[np.float64], space: CodeSpace) -> NDArray[np.bool_]:
     return np.zeros(len(q), np.bool_)
 
 
+Shown = tuple[CodeSpace, NDArray[np.float64]]
+"""A code space, and a map (3, 3) of its code coordinates to those of the grid that tells it."""
+
+
 @dataclass(frozen=True, kw_only=True)
 class Symbol:
     """A symbology that can be read.
@@ -51,6 +55,12 @@ class Symbol:
     heads : mapping of str to tuple of str
         What several versions begin with, by a name that ``anchors``, ``timing`` and ``space`` take too, and
         which they are. Default: none.
+    cores : mapping of str to str
+        What is known of several versions before that is read, by a name that ``anchors`` and ``space`` take
+        too, with the smallest version. Default: none.
+    shown : callable, optional
+        Gives what the grid of a core says that it is the core of; None where that is unreadable. Default:
+        sizes and directions are told by known modules.
     """
 
     sizes: Mapping[Any, tuple[int, int]]
@@ -61,6 +71,8 @@ class Symbol:
     mirror: Callable[[NDArray], NDArray] = np.transpose
     valid: Callable[[NDArray[np.float64], CodeSpace], NDArray[np.bool_]] = _none
     heads: Mapping[str, tuple[str, ...]] = field(default_factory=dict)
+    cores: Mapping[str, str] = field(default_factory=dict)
+    shown: Callable[[NDArray[np.float64], CodeSpace], Shown | None] | None = None
 
 
 SYMBOLS: Mapping[Symbology, Symbol] = MappingProxyType(
@@ -104,6 +116,8 @@ SYMBOLS: Mapping[Symbology, Symbol] = MappingProxyType(
             timing=aztec.timing,
             space=aztec.space,
             decode=aztec.decode,
+            shown=aztec.shown,
+            cores=aztec.CORES,
         ),
     }
 )

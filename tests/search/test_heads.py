@@ -33,6 +33,7 @@ def test_a_head_is_what_sizes_of_a_height_have_in_common():
 
 def test_what_is_searched_has_sizes():
     assert {size.symbology for size in sizes()} == set(SEARCHED)
+    assert ReadConfig(symbologies=SEARCHED).symbologies == SEARCHED
 
 
 @pytest.fixture(scope="module")
