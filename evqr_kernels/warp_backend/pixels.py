@@ -45,9 +45,12 @@ def make_last_times(dtype: type) -> wp.Kernel:
         right = dtype(surface_out.shape[3])
         bottom = dtype(surface_out.shape[2])
         first = wp.tid() * CHUNK
-        last = wp.min(wp.min(first + CHUNK, x.shape[0]), window_ptr[window_ptr.shape[0] - 1])
-        first = wp.max(first, window_ptr[0])
+        last = wp.min(first + CHUNK, window_ptr[window_ptr.shape[0] - 1])
         b = window_of(window_ptr, first)
+        if b < 0 or last > x.shape[0]:  # some of them no window names
+            first = wp.max(first, window_ptr[0])
+            last = wp.min(last, x.shape[0])
+            b = window_of(window_ptr, first)
         while first < last:  # ends with the last window
             stop = wp.min(last, window_ptr[b + 1])
             for e in range(first, stop):
@@ -113,9 +116,12 @@ def make_event_histogram(dtype: type) -> wp.Kernel:
         right = dtype(counts_out.shape[3])
         bottom = dtype(counts_out.shape[2])
         first = wp.tid() * CHUNK
-        last = wp.min(wp.min(first + CHUNK, x.shape[0]), window_ptr[window_ptr.shape[0] - 1])
-        first = wp.max(first, window_ptr[0])
+        last = wp.min(first + CHUNK, window_ptr[window_ptr.shape[0] - 1])
         b = window_of(window_ptr, first)
+        if b < 0 or last > x.shape[0]:  # some of them no window names
+            first = wp.max(first, window_ptr[0])
+            last = wp.min(last, x.shape[0])
+            b = window_of(window_ptr, first)
         while first < last:  # ends with the last window
             stop = wp.min(last, window_ptr[b + 1])
             for e in range(first, stop):

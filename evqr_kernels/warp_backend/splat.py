@@ -64,9 +64,12 @@ def make_bin_events(dtype: type) -> wp.Kernel:
         right = dtype(image_out.shape[2])
         bottom = dtype(image_out.shape[1])
         first = wp.tid() * CHUNK
-        last = wp.min(wp.min(first + CHUNK, x.shape[0]), window_ptr[window_ptr.shape[0] - 1])
-        first = wp.max(first, window_ptr[0])
+        last = wp.min(first + CHUNK, window_ptr[window_ptr.shape[0] - 1])
         b = window_of(window_ptr, first)
+        if b < 0 or last > x.shape[0]:  # some of them no window names
+            first = wp.max(first, window_ptr[0])
+            last = wp.min(last, x.shape[0])
+            b = window_of(window_ptr, first)
         while first < last:  # ends with the last window
             end = wp.min(last, window_ptr[b + 1])
             for e in range(first, end):

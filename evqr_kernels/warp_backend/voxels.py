@@ -60,9 +60,12 @@ def make_voxel_grid(dtype: type) -> wp.Kernel:
         right = dtype(grid_out.shape[3])
         bottom = dtype(grid_out.shape[2])
         first = wp.tid() * CHUNK
-        last = wp.min(wp.min(first + CHUNK, x.shape[0]), window_ptr[window_ptr.shape[0] - 1])
-        first = wp.max(first, window_ptr[0])
+        last = wp.min(first + CHUNK, window_ptr[window_ptr.shape[0] - 1])
         b = window_of(window_ptr, first)
+        if b < 0 or last > x.shape[0]:  # some of them no window names
+            first = wp.max(first, window_ptr[0])
+            last = wp.min(last, x.shape[0])
+            b = window_of(window_ptr, first)
         while first < last:  # ends with the last window
             stop = wp.min(last, window_ptr[b + 1])
             begin = span[b, 0]
