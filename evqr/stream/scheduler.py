@@ -29,7 +29,7 @@ from evqr.fit.outside import outside
 from evqr.motion import Motion
 from evqr.reason import Reason
 from evqr.results import Statistics
-from evqr.search.motion_estimate import QuietSpells
+from evqr.search.motion_estimate import MotionEstimate, QuietSpells
 from evqr.solver import Solver
 from evqr.stream.known import KnownCodes
 from evqr.stream.records import CodeAgain, CodeLeft, CodeRead, CodeUnread, Searched, StreamRecord
@@ -390,12 +390,10 @@ class StreamScheduler:
     def _try(self, at_us: int, quiet: QuietSpells | None = None) -> Activity[_Try]:
         """Search once; may run on any thread and changes nothing here but ``quiet``."""
         clock, solver = StageClock(), self._solver
-        moving = yield from moving_at(
-            at_us, solver, guess=self._motion, quiet=quiet, since_us=self._events.first_us
-        )
+        moving = yield from self._moving_at(at_us, self._motion, quiet)
         clock.add(moving.timings_ms)
         if isinstance(moving, NotFound) and self._motion is not None:
-            moving = yield from moving_at(at_us, solver, quiet=quiet, since_us=self._events.first_us)
+            moving = yield from self._moving_at(at_us, None, quiet)
             clock.add(moving.timings_ms)
         if isinstance(moving, NotFound):
             return _Try(at_us, None, None, replace(moving, timings_ms=clock.ms))
@@ -412,6 +410,22 @@ class StreamScheduler:
         best, *others = found
         clock.add(best.timings_ms)
         return _Try(at_us, motion, window, (replace(best, timings_ms=clock.ms), *others))
+
+    def _moving_at(
+        self, at_us: int, guess: Motion | None, quiet: QuietSpells | None
+    ) -> Activity[MotionEstimate | NotFound]:
+        """Estimate the motion of what is not followed already: another belt's, say."""
+        asking = moving_at(at_us, self._solver, guess=guess, quiet=quiet, since_us=self._events.first_us)
+        answer: Any = None
+        while True:
+            try:
+                asked = asking.send(answer)
+            except StopIteration as end:
+                return end.value
+            answer = yield asked
+            if isinstance(answer, Window) and self._tracks:
+                enough = 2 * self._config.motion.most_events  # of which so many are looked at
+                answer = self._outside_tracks(answer.thinned(max(1, len(answer) // enough)))
 
     def _take(self, tried: _Try) -> Working[None]:
         """Follow the codes that a search found."""
@@ -491,6 +505,7 @@ class StreamScheduler:
     def _finish(self, track: Track) -> None:
         """Follow a code no more."""
         self._tracks.remove(track)
+        self._quiet = QuietSpells()  # what was seen without its events says nothing of them
         self._lost.append(track)
         self._clock.add(track.timings_ms)
         if track.code is not None:
