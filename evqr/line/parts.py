@@ -9,7 +9,7 @@ from __future__ import annotations
 import math
 from collections import deque
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any, Protocol
 
 from evqr.clock import StageClock
@@ -269,7 +269,11 @@ class Triggered:
         if most is None or not isinstance(record, CodeRead):
             return []
         now_us = record.reading.t_read_us
-        full = [gate for gate in self._gates.waiting if len(self._sights_of(gate, now_us)) >= most]
+        full = [
+            gate
+            for gate in self._gates.waiting
+            if len({sight.code for sight in self._sights_of(gate, now_us)}) >= most
+        ]
         return [self._part_of(gate, now_us, now_us, ()) for gate in full]
 
     def decide(self, time_us: float, settled_us: float, following: Sequence[CodeUnread]) -> list[Part]:
@@ -305,7 +309,7 @@ class Triggered:
         self._gates.waiting.remove(gate)
         for sight in sights:
             sight.given, sight.gate = True, gate
-        readings = tuple(sight.until(min(time_us, gate.closed_us)) for sight in sights)
+        readings = _each_once(sights, min(time_us, gate.closed_us))
         if readings:
             return Part(time_us, gate.job, readings, gate)
         return Part(time_us, gate.job, (), gate, self._verdict(gate, time_us, settled_us, following))
@@ -356,3 +360,15 @@ class Triggered:
             detail = f"searched up to {settled_us:.0f} us, the gate closed at {end_us:.0f} us"
             return Verdict(Reason.DEADLINE, detail, verdict.nearest, verdict.motion)
         return verdict
+
+
+def _each_once(sights: Sequence[Sight], until_us: float) -> tuple[CodeReading, ...]:
+    """Give the codes that were seen, each once, though it was lost from sight and came again."""
+    readings: dict[int, CodeReading] = {}
+    for sight in sights:
+        reading = sight.until(until_us)
+        before = readings.get(sight.code)
+        readings[sight.code] = (
+            reading if before is None else replace(before, t_last_us=max(before.t_last_us, reading.t_last_us))
+        )
+    return tuple(readings.values())

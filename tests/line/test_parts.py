@@ -93,6 +93,18 @@ def test_a_gate_has_the_codes_that_were_seen_in_it():
     assert (fields["t_start_us"], fields["t_end_us"], fields["t_last_us"]) == (100_000, 110_000, 110_000)
 
 
+def test_a_code_that_is_lost_and_comes_back_within_a_gate_is_told_once():
+    line = Line(after_us=10_000, until_codes=2)
+    line.trigger(0, index=4)
+    line.take(read(3, "A", 1_000), left(3, 4_000), again(3, 6_000))
+    assert not line.told
+    line.take(left(3, 8_000))
+    line.until(10_000)
+    (part,) = line.told
+    (reading,) = part.readings
+    assert (reading.text, reading.t_first_us, reading.t_last_us) == ("A", 1_000, 8_000)
+
+
 def test_a_gate_waits_for_what_is_still_to_be_searched_of_it():
     line = Line(after_us=10_000, deadline_us=30_000)
     line.trigger(0)
