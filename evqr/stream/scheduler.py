@@ -16,29 +16,40 @@ from __future__ import annotations
 import heapq
 import itertools
 import math
+from collections.abc import Sequence
 from concurrent.futures import Executor
 from dataclasses import dataclass, replace
 from typing import Any, NamedTuple
+
+import numpy as np
 
 from evqr.clock import StageClock
 from evqr.events.array import EventArray
 from evqr.events.buffer import EventBuffer
 from evqr.events.window import Window
 from evqr.fit.detection import Detection, NotFound
-from evqr.fit.outside import outside
+from evqr.fit.outside import inside, outside
 from evqr.motion import Motion
 from evqr.reason import Reason
 from evqr.results import Statistics
-from evqr.search.motion_estimate import MotionEstimate, QuietSpells
+from evqr.search.motion_estimate import MotionEstimate, Probe, QuietSpells
 from evqr.solver import Solver
 from evqr.stream.known import KnownCodes
 from evqr.stream.records import CodeAgain, CodeLeft, CodeRead, CodeUnread, Searched, StreamRecord
 from evqr.stream.track import Track
 from evqr.stream.unread import UnreadCodes
-from evqr.work import Activity, Find, Working, answer, moving_at, together, with_windows
+from evqr.work import Activity, Estimate, Find, Follow, Working, answer, moving_at, together, with_windows
 
 FOLLOW, SEARCH = range(2)
 """Ranks of activities: of those that wait for the same time, those that follow a code go on first."""
+
+
+SCORES_ALIKE = 0.02
+"""A code with the motion of its own events is taken though it agrees less well by so much."""
+
+
+CLEARLY_OFF = 0.1
+"""A code whose own events move by so much of the speed in another way was found with a wrong motion."""
 
 
 class _Waiting(NamedTuple):
@@ -390,10 +401,10 @@ class StreamScheduler:
     def _try(self, at_us: int, quiet: QuietSpells | None = None) -> Activity[_Try]:
         """Search once; may run on any thread and changes nothing here but ``quiet``."""
         clock, solver = StageClock(), self._solver
-        moving = yield from self._moving_at(at_us, self._motion, quiet)
+        moving, known_us = yield from self._moving_at(at_us, self._motion, quiet)
         clock.add(moving.timings_ms)
         if isinstance(moving, NotFound) and self._motion is not None:
-            moving = yield from self._moving_at(at_us, None, quiet)
+            moving, known_us = yield from self._moving_at(at_us, None, quiet)
             clock.add(moving.timings_ms)
         if isinstance(moving, NotFound):
             return _Try(at_us, None, None, replace(moving, timings_ms=clock.ms))
@@ -407,25 +418,64 @@ class StreamScheduler:
         if isinstance(found, NotFound):
             clock.add(found.timings_ms)
             return _Try(at_us, motion, window, replace(found, timings_ms=clock.ms))
-        best, *others = found
+        longer = self._events.window(at_us, max(end_us, known_us))
+        best, *others = yield from self._each_with_its_motion(longer, window, found, clock)
         clock.add(best.timings_ms)
         return _Try(at_us, motion, window, (replace(best, timings_ms=clock.ms), *others))
 
+    def _each_with_its_motion(
+        self, longer: Window, window: Window, found: Sequence[Detection], clock: StageClock
+    ) -> Working[tuple[Detection, ...]]:
+        """Correct the motions of codes by their events alone: what is beside them may move in other ways.
+
+        A window is so short that a code agrees in it with motions that are far off; followed with one of them
+        it is lost.  A coarse look tells whether one is.
+        """
+        own = [inside(longer, code.target, 0.0) for code in found]
+        probe = Probe(longer.start_us, longer.end_us, self._config.motion.reduction, True)
+        coarse = yield [Estimate(each, probe) for each in own]
+        off = [k for k, one in enumerate(coarse) if self._is_off(found[k].motion, one)]
+        fine = yield [Estimate(own[k]) for k in off]
+        moving = {
+            k: found[k].moving(one.motion)
+            for k, one in zip(off, fine, strict=True)
+            if isinstance(one, MotionEstimate)
+        }
+        again = yield [Follow(window, code) for code in moving.values()]
+        for timed in (*coarse, *fine, *again):
+            clock.add(timed.timings_ms)
+        codes = list(found)
+        for k, one in zip(moving, again, strict=True):
+            if isinstance(one, Detection) and one.score >= codes[k].score - SCORES_ALIKE:
+                codes[k] = one.altered(timings_ms=codes[k].timings_ms)
+        return tuple(codes)
+
+    @staticmethod
+    def _is_off(motion: Motion, own: MotionEstimate | NotFound) -> bool:
+        """Whether a code clearly moves in another way than was taken for granted."""
+        if isinstance(own, NotFound):
+            return False
+        apart = float(np.linalg.norm(own.motion.velocity - motion.velocity))
+        return apart > CLEARLY_OFF * float(np.linalg.norm(motion.velocity))
+
     def _moving_at(
         self, at_us: int, guess: Motion | None, quiet: QuietSpells | None
-    ) -> Activity[MotionEstimate | NotFound]:
-        """Estimate the motion of what is not followed already: another belt's, say."""
+    ) -> Activity[tuple[MotionEstimate | NotFound, int]]:
+        """Estimate the motion of what is not followed already; say up to when the events are there [us]."""
         asking = moving_at(at_us, self._solver, guess=guess, quiet=quiet, since_us=self._events.first_us)
         answer: Any = None
+        end_us = at_us
         while True:
             try:
                 asked = asking.send(answer)
             except StopIteration as end:
-                return end.value
+                return end.value, end_us
             answer = yield asked
-            if isinstance(answer, Window) and self._tracks:
-                enough = 2 * self._config.motion.most_events  # of which so many are looked at
-                answer = self._outside_tracks(answer.thinned(max(1, len(answer) // enough)))
+            if isinstance(answer, Window):
+                end_us = answer.end_us
+                if self._tracks:
+                    enough = 2 * self._config.motion.most_events  # of which so many are looked at
+                    answer = self._outside_tracks(answer.thinned(max(1, len(answer) // enough)))
 
     def _take(self, tried: _Try) -> Working[None]:
         """Follow the codes that a search found."""

@@ -7,11 +7,12 @@ from typing import ClassVar
 
 import numpy as np
 import pytest
-from scenes import joined, keep, noise, scene
+from scenes import SPEED_PX_MS, joined, keep, noise, scene
 from stream_steps import cut_anywhere, cut_every, records_of
 
 from evqr import ReadConfig, read_codes
 from evqr.config import SchedulerConfig
+from evqr.events.array import EventArray
 from evqr.events.buffer import EventBuffer
 from evqr.fit.detection import Detection, NotFound, Target
 from evqr.motion import Motion
@@ -205,6 +206,9 @@ class Scripted:
             return [NotFound(Reason.DISAGREES)]
         target = Target(qr.space(1), np.eye(3), motions[0].at(batch.windows[0].middle_us))
         return [(Detection(target, np.ones(2), 0.9, 1.0, None, 1),)]
+
+    def motions(self, windows, *, reduction=None, thorough=True):
+        return [MotionEstimate(self.motion, 0.5) for _ in windows]
 
 
 class FollowedFor:
@@ -470,3 +474,23 @@ def test_codes_in_view_at_once_are_no_more_than_the_settings_say(mixed):
     solver = Solver(ReadConfig(scheduler=SchedulerConfig(codes_a_search=1)))
     records, _ = records_of([mixed], solver)
     assert max(r.codes for r in kinds(records, Searched)) == 1
+
+
+@pytest.mark.parametrize(("along", "other"), [(0.0, 215.0), (35.0, -60.0)])
+def test_belts_that_run_in_different_ways_do_not_mix(along, other):
+    """Both are in view from the beginning, so the first window's motion is that of neither."""
+    belts = [
+        scene(text, travel_px=32.0, version=1, module_px=module_px, direction=direction).events
+        for text, module_px, direction in (("BELT 1", 5.0, along), ("BELT 2", 4.0, other))
+    ]
+    t, y, p = (np.concatenate([getattr(belt, name) for belt in belts]) for name in ("t", "y", "p"))
+    width = belts[0].width
+    x = np.concatenate([belts[0].x, belts[1].x + np.uint16(width)])
+    order = np.argsort(t, kind="stable")
+    events = EventArray(t[order], x[order], y[order], p[order], 2 * width, belts[0].height)
+    readings = read_codes(events).readings
+    assert sorted(reading.text for reading in readings) == ["BELT 1", "BELT 2"]
+    for reading in readings:
+        angle = np.deg2rad(along if reading.text == "BELT 1" else other)
+        expected = 1e3 * SPEED_PX_MS * np.array([np.cos(angle), np.sin(angle)])
+        assert np.linalg.norm(reading.motion_px_per_s - expected) < 0.05 * np.linalg.norm(expected)
