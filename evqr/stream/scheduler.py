@@ -21,8 +21,6 @@ from concurrent.futures import Executor
 from dataclasses import dataclass, replace
 from typing import Any, NamedTuple
 
-import numpy as np
-
 from evqr.clock import StageClock
 from evqr.events.array import EventArray
 from evqr.events.buffer import EventBuffer
@@ -455,8 +453,8 @@ class StreamScheduler:
         """Whether a code clearly moves in another way than was taken for granted."""
         if isinstance(own, NotFound):
             return False
-        apart = float(np.linalg.norm(own.motion.velocity - motion.velocity))
-        return apart > CLEARLY_OFF * float(np.linalg.norm(motion.velocity))
+        (x, y), (own_x, own_y) = motion.velocity.tolist(), own.motion.velocity.tolist()
+        return math.hypot(own_x - x, own_y - y) > CLEARLY_OFF * math.hypot(x, y)
 
     def _moving_at(
         self, at_us: int, guess: Motion | None, quiet: QuietSpells | None
