@@ -304,7 +304,8 @@ class Launchers:
         """Give the launcher of an operation."""
         if op not in OPERATIONS:
             raise AttributeError(f"{type(self).__name__} has no {op!r}, which is no operation")
-        launcher = getattr(importlib.import_module(f"{self._package}.{OPERATIONS[op].file}"), op)
+        file = OPERATIONS[op].file  # novm  (no file of Python 2)
+        launcher = getattr(importlib.import_module(f"{self._package}.{file}"), op)
         setattr(self, op, launcher)
         return launcher
 

@@ -42,7 +42,7 @@ def main() -> int:
     losses = []
     for _ in range(STEPS):
         optimiser.zero_grad()
-        weight = polarity * mass[(polarity < 0).long()]
+        weight = polarity * torch.where(polarity < 0, mass[1], mass[0])
         grid = evqr_kernels.torch.voxel_grid(x, y, t, weight, window_ptr, span, bins=BINS, shape=shape)
         grid = grid / grid.std()  # what networks like
         loss = (layer(grid[:, :-1]) - grid[:, -1:]).square().mean()

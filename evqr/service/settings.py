@@ -388,7 +388,7 @@ def parse_settings(text: str, name: str) -> tuple[ServiceSettings, dict[str, Job
 def _toml() -> Any:
     """Give the parser: Python's own from 3.11 on, before that the package it comes from."""
     try:
-        import tomllib
+        import tomllib  # novm  (3.10 has the package below)
     except ImportError:
         from evqr.sinks.extra import needs_extra
 
