@@ -11,6 +11,9 @@ sys.path.insert(0, str(Path(__file__).parents[1] / "perf"))
 
 import processes
 
+# A child is confined to cores before its program begins; JAX, where a test has imported it, warns of that.
+pytestmark = pytest.mark.filterwarnings(r"ignore:os\.fork\(\) was called:RuntimeWarning")
+
 
 def python(code):
     return [sys.executable, "-c", code]
