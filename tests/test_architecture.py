@@ -11,7 +11,7 @@ ROOT = Path(__file__).parents[1]
 
 FLOORS = (
     # from the ground up; what stands on one floor does not know what stands on those above it
-    ("errors", "reason", "values", "clock", "symbology"),
+    ("errors", "extras", "reason", "values", "clock", "symbology"),
     ("config",),
     ("events", "motion", "geometry", "symbol"),
     ("recording", "simulate", "workspace", "device"),

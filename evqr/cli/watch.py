@@ -20,9 +20,7 @@ if TYPE_CHECKING:
     from evqr.config import ReadConfig
     from evqr.line.reader import Reader
     from evqr.line.records import LineRecord
-    from evqr.live.connection import Connection
     from evqr.live.pieces import Piece
-    from evqr.live.playing import Playing
     from evqr.recording import RecordingOptions
 
 
@@ -116,7 +114,7 @@ def watch(
     from evqr.config import TriggerConfig
     from evqr.line.reader import Reader
     from evqr.line.trigger_file import read_triggers
-    from evqr.service.feeding import feed
+    from evqr.service.feeding import feed, opened_source
 
     options.be_quiet(quiet)
     if example or schema:
@@ -142,7 +140,8 @@ def watch(
     options.prepare(backend, device)
     read = False
     try:
-        with _source(source, opening, speed) as opened, _stopped_by_sigterm(opened) as stopped:
+        _check_speed(source, speed)
+        with opened_source(source, speed=speed, **opening) as opened, _stopped_by_sigterm(opened) as stopped:
             for record in feed(
                 opened, make, triggers, in_stream=trigger == IN_STREAM, seen=_tell_interruption(source)
             ):
@@ -191,22 +190,11 @@ def _serve(path: str, *, check: bool, as_json: bool) -> int:
     return OK if read or stopped else NOTHING
 
 
-@contextmanager
-def _source(source: str, opening: RecordingOptions, speed: float | None) -> Iterator[Connection | Playing]:
-    """Open what is named; notes tell what was odd about it."""
+def _check_speed(source: str, speed: float | None) -> None:
     from evqr.live.connection import Connection
-    from evqr.live.playing import Playing
-    from evqr.recording import open_recording
 
-    if Connection.meant(source) and not Path(source).exists():
-        if speed is not None:
-            raise UsageError("--speed is for recordings: what comes over a connection comes when it does")
-        yield Connection(source)
-        return
-    with open_recording(source, **opening) as recording:
-        yield Playing(recording, source, speed=speed)
-        for text in recording.notes:
-            note(f"{source}: {text}")
+    if speed is not None and Connection.meant(source) and not Path(source).exists():
+        raise UsageError("--speed is for recordings: what comes over a connection comes when it does")
 
 
 @contextmanager

@@ -18,7 +18,8 @@ from click.globals import push_context
 from evqr.cli import options
 from evqr.cli.options import debugging, is_quiet
 from evqr.cli.running import collect_garbage_rarely, logged_as_notes
-from evqr.errors import MissingExtra, UsageError
+from evqr.errors import UsageError
+from evqr.extras import needs_extra
 
 
 @contextmanager
@@ -123,14 +124,8 @@ def _begin_worker(debug: bool = False, quiet: bool = False) -> None:
 
 @contextmanager
 def _dask_workers(address: str) -> Iterator[Executor]:
-    from evqr_kernels.extras import install_command
-
-    try:
+    with needs_extra("computing with Dask", "distributed", "distributed"):
         from distributed import Client
-    except ImportError as error:
-        raise MissingExtra(
-            f"computing with Dask needs distributed: {install_command('distributed')}"
-        ) from error
     try:
         client = Client(address, timeout="10s")
     except (OSError, ValueError) as error:

@@ -8,9 +8,9 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from evqr.errors import EvqrError
+from evqr.extras import needs_extra
 from evqr.page.metrics import LineCollector
 from evqr.page.state import LineState
-from evqr.sinks.extra import needs_extra
 
 if TYPE_CHECKING:
     from starlette.applications import Starlette

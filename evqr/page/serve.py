@@ -10,9 +10,9 @@ from pathlib import Path
 from types import TracebackType
 
 from evqr.errors import UsageError
+from evqr.extras import needs_extra
 from evqr.page.app import make_app
 from evqr.page.state import LineState
-from evqr.sinks.extra import needs_extra
 
 START_S = 10.0
 

@@ -2,7 +2,11 @@
 
 from __future__ import annotations
 
+import logging
 from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager
+from pathlib import Path
+from typing import TYPE_CHECKING
 
 from evqr.errors import EvqrError
 from evqr.line.gates import Trigger
@@ -11,6 +15,48 @@ from evqr.line.records import LineRecord
 from evqr.live.connection import Connection
 from evqr.live.pieces import Events, Interrupted, Piece, Sensor, TimePasses, TriggerSeen
 from evqr.live.playing import Playing
+from evqr.recording import open_recording
+
+if TYPE_CHECKING:
+    from typing_extensions import Unpack
+
+    from evqr.recording import RecordingOptions
+
+_LOG = logging.getLogger(__name__)
+
+
+@contextmanager
+def opened_source(
+    where: str, *, speed: float | None = None, **opening: Unpack[RecordingOptions]
+) -> Iterator[Connection | Playing]:
+    """Open a connection, or a recording that is played; what was odd about a recording is logged at its end.
+
+    Parameters
+    ----------
+    where : str
+        As of `Connection`, or a path, which goes before it.
+    speed : float, optional
+        Of a recording, as of `Playing`.
+    **opening : as for `open_recording`
+        Of a recording.
+
+    Yields
+    ------
+    source : Connection or Playing
+        To feed a reader with.
+
+    Raises
+    ------
+    EvqrError
+        It cannot be opened.
+    """
+    if Connection.meant(where) and not Path(where).exists():
+        yield Connection(where)
+        return
+    with open_recording(where, **opening) as recording:
+        yield Playing(recording, where, speed=speed)
+        for text in recording.notes:
+            _LOG.warning("%s: %s", where, text)
 
 
 def feed(

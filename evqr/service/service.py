@@ -6,7 +6,7 @@ import logging
 import time
 from collections import deque
 from collections.abc import Callable, Iterator, Mapping
-from contextlib import ExitStack, contextmanager
+from contextlib import ExitStack
 from dataclasses import replace
 from datetime import datetime, timezone
 from pathlib import Path
@@ -23,9 +23,8 @@ from evqr.live.connection import Connection
 from evqr.live.pieces import Events, Idle, Interrupted, Piece, Sensor
 from evqr.live.playing import Playing
 from evqr.page.state import LineState
-from evqr.recording import open_recording
 from evqr.results import module_rows
-from evqr.service.feeding import feed
+from evqr.service.feeding import feed, opened_source
 from evqr.service.sequence import SequenceFile
 from evqr.service.settings import Keep, OutletSettings, ServiceSettings, TriggerSource
 from evqr.service.systemd import Notifier
@@ -113,7 +112,10 @@ class Service:
             self._open_page(stack)
             self._open_sequence(stack)
             self._check_itself()
-            source = self._source = stack.enter_context(self._opened_source())
+            settings = self._settings.source
+            source = self._source = stack.enter_context(
+                opened_source(settings.where, speed=settings.speed, sensor=settings.sensor)
+            )
             if self._stopped:
                 source.stop()
             self._systemd.tell("READY=1")
@@ -163,15 +165,6 @@ class Service:
         if path is not None:
             self._sequence = SequenceFile(path)
             stack.callback(self._sequence.close)
-
-    @contextmanager
-    def _opened_source(self) -> Iterator[Connection | Playing]:
-        settings = self._settings.source
-        if Connection.meant(settings.where) and not Path(settings.where).exists():
-            yield Connection(settings.where)
-            return
-        with open_recording(settings.where, sensor=settings.sensor) as recording:
-            yield Playing(recording, settings.where, speed=settings.speed)
 
     def _make(self, size: tuple[int, int]) -> Reader:
         settings, read = self._settings, self._settings.read
@@ -249,14 +242,13 @@ class Service:
         self.state.take(plain, file=None if file is None else Path(file).name, modules=modules)
         self._send(plain)
         if isinstance(record, PartRecord):
-            self._watch_read_rate(bool(record.texts) and record.matches is not False)
+            self._watch_read_rate(_is_read(record))
 
     def _kept(self, record: PartRecord) -> str | None:
         """Keep the events of a part, where they are wanted, and say where they will be."""
         if self._recorder is None:
             return None
-        read = bool(record.texts) and record.matches is not False
-        if read and self._settings.recorder.keep is Keep.NO_READ:
+        if _is_read(record) and self._settings.recorder.keep is Keep.NO_READ:
             return None
         starts = [time for time in (record.t_start_us, record.t_first_us) if time is not None]
         ends = [time for time in (record.t_end_us, record.t_last_us) if time is not None]
@@ -293,6 +285,11 @@ class Service:
         self._out(record)
         for _, outlet in self._outlets:
             outlet.put(record)
+
+
+def _is_read(record: PartRecord) -> bool:
+    """Whether a part says something, and not another thing than is expected."""
+    return bool(record.texts) and record.matches is not False
 
 
 def sinks_of(settings: ServiceSettings) -> Iterator[tuple[Sink, OutletSettings]]:

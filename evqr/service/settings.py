@@ -390,7 +390,7 @@ def _toml() -> Any:
     try:
         import tomllib  # novm  (3.10 has the package below)
     except ImportError:
-        from evqr.sinks.extra import needs_extra
+        from evqr.extras import needs_extra
 
         with needs_extra("a file of settings on Python 3.10", "tomli", "line"):
             import tomli as tomllib  # pyright: ignore[reportMissingImports]  # not there from 3.11 on

@@ -6,7 +6,7 @@ import string
 from collections.abc import Sequence
 from typing import Any
 
-from evqr.sinks.extra import needs_extra
+from evqr.extras import needs_extra
 from evqr.sinks.sink import JsonRecord
 from evqr.values import json_line
 

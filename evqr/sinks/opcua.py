@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from typing import TYPE_CHECKING, Any
 
-from evqr.sinks.extra import needs_extra
+from evqr.extras import needs_extra
 from evqr.sinks.sink import JsonRecord
 
 if TYPE_CHECKING:

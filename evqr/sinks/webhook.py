@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 
-from evqr.sinks.extra import needs_extra
+from evqr.extras import needs_extra
 from evqr.sinks.sink import JsonRecord
 from evqr.values import json_line
 

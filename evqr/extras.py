@@ -1,4 +1,4 @@
-"""What a sink's package is asked for with."""
+"""What asks for the package of an extra."""
 
 from __future__ import annotations
 
