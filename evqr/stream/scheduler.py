@@ -369,7 +369,9 @@ class StreamScheduler:
         self._motion = motion
         if tries[last].silent:
             self._vain = 0
-            return (yield from self._first_event(start_us))
+            first_us = yield from self._first_event(start_us)
+            if first_us > start_us:
+                return first_us  # else all events here are of codes that are followed: search behind them
         if motion is None:
             return start_us + self._config.scheduler.unknown_us
         return start_us + self._step_us(motion)

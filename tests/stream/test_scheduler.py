@@ -18,7 +18,7 @@ from evqr.fit.detection import Detection, NotFound, Target
 from evqr.motion import Motion
 from evqr.reason import Reason
 from evqr.search.motion_estimate import MotionEstimate
-from evqr.simulate import CodePlacement
+from evqr.simulate import CodePlacement, SensorConfig
 from evqr.solver import Solver
 from evqr.stream.records import CodeAgain, CodeLeft, CodeRead, CodeUnread, Searched
 from evqr.stream.scheduler import StreamScheduler
@@ -369,6 +369,26 @@ def test_events_after_a_silence_are_read(solver):
     (read,) = kinds(records, CodeRead)
     assert (read.code, read.reading.text) == (1, "EVQR-07")
     assert read.reading.t_first_us >= 500_000
+
+
+@pytest.mark.timeout(100)
+def test_the_search_goes_on_where_all_events_are_of_a_code_that_is_followed(solver):
+    """Else it would begin at their first again, and again: what is left of them is noise where a code was."""
+    view = {"width": 160, "height": 112}
+    code = scene(
+        text="ONE", version=1, module_px=4.0, direction=0.0, preset=SensorConfig(threshold=0.9), **view
+    ).events
+    few = EventArray(
+        np.arange(40) * 300,
+        np.full(40, 80, np.uint16),
+        np.full(40, 56, np.uint16),
+        np.ones(40, np.int8),
+        **view,
+    )
+    records, _ = records_of([joined(code, few)], solver)
+    starts = [record.start_us for record in kinds(records, Searched)]
+    assert starts == sorted(set(starts))
+    assert [record.reading.text for record in kinds(records, CodeRead)] == ["ONE"]
 
 
 def test_hours_without_events_are_one_step(monkeypatch, solver):
