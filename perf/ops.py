@@ -312,9 +312,9 @@ def score_poses(size: Size, rng, dtype, count: int = 64, points: int = 300) -> P
     model = np.hstack([rng.uniform(0, size.modules, (points, 2)), rng.normal(size=(points, 2))])
     ptr = np.array([[0, 240, points]], np.int32)
     poses = np.repeat(_poses(size, rng, dtype), count, axis=0)
-    inputs = [_image(size, rng, dtype), idx, poses, np.zeros_like(idx), ptr, model.astype(dtype), 1e-3]
-    samples = len(idx) * points
-    return problem("score_poses", inputs, samples, 24 * samples, "sample")
+    part = np.array([[0, size.side, size.side]] * len(idx), np.int32)
+    given = [_image(size, rng, dtype), idx, part, poses, 0 * idx, ptr, model.astype(dtype)]
+    return problem("score_poses", [*given, 1e-3], len(idx) * points, 24 * len(idx) * points, "sample")
 
 
 def align_poses(size: Size, rng, dtype, iterations: int = 5) -> Problem:
@@ -336,12 +336,12 @@ def align_poses(size: Size, rng, dtype, iterations: int = 5) -> Problem:
         table += blob[:, None] * np.stack(columns, axis=1)
         p, q = ((seen - place) / 2).transpose(2, 0, 1)
         images += (height * np.exp(-0.5 * (p * p + q * q)) * (0.4 * p - 0.25 * q)).reshape(images.shape)
-    terms, factors = _terms()
     settings = np.array([[*[middle] * 4, 1e-3, 1e-3, 0.0]])
     start = poses + np.array([0, 0, 0.3, 0, 0, -0.2, 0, 0, 0]) * poses[:, :1]
-    which = np.arange(size.batch, dtype=np.int32)
-    given = [images, which, 0 * which, points, table, np.array([[0, len(points)]], np.int32)]
-    given += [(table.T @ table)[None], terms, factors, np.array([6], np.int32), settings]
+    which, whole = np.arange(size.batch, dtype=np.int32), [[0, size.side, size.side]] * size.batch
+    given = [images, which, np.array(whole, np.int32), 0 * which, points, table]
+    given += [np.array([[0, len(points)]], np.int32), (table.T @ table)[None], *_terms()]
+    given += [np.array([6], np.int32), settings]
     inputs = [array if array.dtype == np.int32 else array.astype(dtype) for array in given]
     samples = size.batch * len(points) * (iterations + 1)
     madds = samples * (COLUMNS + 18)

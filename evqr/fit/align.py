@@ -98,6 +98,8 @@ class Align(Step):
         super().__init__(workspace, staging)
         self._images, self._max_iterations = images.device, max_iterations
         self._image_idx = self._staging.input((count,), np.int32)
+        _, height, width = images.device.shape
+        self._image_part = self._staging.input((count, 3), np.int32, value=(0, height, width))
         self._table_idx = self._staging.input((count,), np.int32)
         self._tables = [each.arguments for each in tables]
         self._results = [self._staging.output((count, 5)) for _ in tables]
@@ -119,19 +121,24 @@ class Align(Step):
         """Numbers of their codes (N,) on the device."""
         return self._table_idx.device
 
-    def write(self, pose: NDArray[np.float64], image_idx: NDArray[np.int32], numbers: Sequence[int]) -> None:
-        """Say where to start (N, 3, 3), on which images, and for which codes."""
+    def write(
+        self, pose: NDArray[np.float64], image_idx: NDArray[np.int32], numbers: Sequence[int],
+        image_part: NDArray[np.int32] | None = None,
+    ) -> None:  # fmt: skip
+        """Say where to start (N, 3, 3), on which images or which parts of them, and for which codes."""
         self._count = len(numbers)
         self._pose.host[: self._count] = pose.reshape(-1, 9)
         self._image_idx.fill(image_idx)
+        if image_part is not None:
+            self._image_part.fill(image_part)
         self._table_idx.fill(numbers)
 
     def launch(self) -> None:
         """Launch the kernels one by one."""
         for tables, result in zip(self._tables, self._results, strict=True):
             self._backend.align_poses(
-                self._images, self._image_idx.device, self._table_idx.device, *tables, self._max_iterations,
-                self._pose.device, result.device,
+                self._images, self._image_idx.device, self._image_part.device, self._table_idx.device,
+                *tables, self._max_iterations, self._pose.device, result.device,
             )  # fmt: skip
 
     def read(self) -> Alignment:
@@ -157,6 +164,7 @@ def align(
     *,
     workspace: Workspace,
     image_idx: NDArray[np.int32] | None = None,
+    image_part: NDArray[np.int32] | None = None,
     max_iterations: int | None = None,
 ) -> Alignment:
     """Refine the poses of N hypotheses, all in one launch a level.
@@ -177,6 +185,8 @@ def align(
         Buffers.
     image_idx : (N,) int32
         Image of each hypothesis; default the first.
+    image_part : (N, 3) int32
+        First row, rows and columns of the part of it that its pose is in; default all of it.
     max_iterations : int
         At each level; default the configured; 0 scores the poses as they are.
 
@@ -192,16 +202,18 @@ def align(
     tables = [codes.poses(level, cfg, numbers) for level in levels]
     count = count_for(len(pose))
     step = images.once(
-        ("align", levels, count, most, tuple(each.version for each in tables)),
+        ("align", levels, count, most, image_part is None, tuple(each.version for each in tables)),
         lambda: Align(images, count, tables, most, workspace),
     )
     which = np.zeros(len(pose), np.int32) if image_idx is None else image_idx
-    step.write(pose, which, numbers)
+    step.write(pose, which, numbers, image_part)
     step.run()
     found = step.read()
     if levels[-1].beyond_patterns:
         return found
-    return judged(images, found, spaces, levels[-1], cfg, workspace=workspace, image_idx=which)
+    return judged(
+        images, found, spaces, levels[-1], cfg, workspace=workspace, image_idx=which, image_part=image_part
+    )
 
 
 def judged(
@@ -213,6 +225,7 @@ def judged(
     *,
     workspace: Workspace,
     image_idx: NDArray[np.int32],
+    image_part: NDArray[np.int32] | None = None,
 ) -> Alignment:
     """Give poses with scores that tell kinds and sizes of symbols apart.
 
@@ -225,7 +238,8 @@ def judged(
         return found
     beyond = align(
         images, found.pose[single], [spaces[k] for k in single], (replace(level, beyond_patterns=True),), cfg,
-        workspace=workspace, image_idx=image_idx[single], max_iterations=0,
+        workspace=workspace, image_idx=image_idx[single],
+        image_part=None if image_part is None else image_part[single], max_iterations=0,
     )  # fmt: skip
     score = found.score.copy()
     score[single] = 0.5 * (score[single] + beyond.score)

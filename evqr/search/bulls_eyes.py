@@ -97,10 +97,11 @@ def codes_of_bulls_eyes(
     pose[:, 0, 0], pose[:, 0, 1], pose[:, 1, 0], pose[:, 1, 1] = cos, -sin, sin, cos
     pose[:, 0, 2], pose[:, 1, 2] = x - 0.5 * SIDE * (cos - sin), y - 0.5 * SIDE * (sin + cos)
     pose[:, 2, 2] = 1.0
-    level = pyramid.level_for(pose, cfg.cells_a_module)
+    level = pyramid.level_for(window, pose, cfg.cells_a_module)
     found = align(
         pyramid.images, compose(pyramid.from_px(window, level), pose), [_bulls_eye()] * len(peaks),
         LEVELS, cfg, workspace=workspace, image_idx=window.astype(np.int32),
+        image_part=pyramid.parts[window, level],
     )  # fmt: skip
     poses = compose(pyramid.to_px(window, level), found.pose)
     poses /= poses[:, 2:, 2:]
@@ -117,11 +118,11 @@ def codes_of_bulls_eyes(
     of_each = np.repeat(window[good], count)
     if not len(made):
         return made, of_each, np.zeros(0, np.float32)
-    level = pyramid.level_for(made.pose, cfg.cells_a_module)
+    level = pyramid.level_for(of_each, made.pose, cfg.cells_a_module)
     found = align(
         pyramid.images, compose(pyramid.from_px(of_each, level), made.pose),
         [made.space(k) for k in range(len(made))], LEVELS, cfg,
-        workspace=workspace, image_idx=of_each.astype(np.int32),
+        workspace=workspace, image_idx=of_each.astype(np.int32), image_part=pyramid.parts[of_each, level],
     )  # fmt: skip
     aligned = compose(pyramid.to_px(of_each, level), found.pose)
     scores = found.score.astype(np.float32)

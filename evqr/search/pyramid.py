@@ -110,6 +110,9 @@ class Pyramid(Step):
         One image a window, all of its levels; until the next search in a region of this size.
     busy : (B,) float32, on the device
         Cells of the finest level that are not 0.
+    parts : (B, K, 3) int32
+        First row, rows and columns of the part of its image that a window's level and the zeros around it
+        take.  A pose is relative to it: where the level lies depends on the windows beside.
     """
 
     def __init__(
@@ -127,7 +130,8 @@ class Pyramid(Step):
         self.levels = levels_of(rows, columns, cfg)
         self.layout = layout_of(self.levels, cfg)
         self.regions: list[Region] = []
-        self._tops = np.array([(cfg.half, level.top) for level in self.levels]) - 0.5
+        self.parts = np.zeros((count, len(self.levels), 3), np.int32)
+        self._deepest = np.zeros(count, np.intp)
         self._corners = np.zeros((0, 2))
         height, width = len(self.layout.rows) + 2 * cfg.half, columns + 2 * cfg.half
         self._whole = workspace.empty(count, height, width)
@@ -151,6 +155,13 @@ class Pyramid(Step):
         lags = [lag or (on * cell, off * cell) for lag, cell in zip(lags_px, cells, strict=True)]
         self.regions = list(regions)
         self._corners = np.array([(region.x, region.y) for region in regions])
+        around = 2 * self._cfg.half
+        self.parts[...] = 0
+        for k, region in enumerate(regions):
+            own = levels_of(region.height, region.width, self._cfg)
+            self._deepest[k] = max(len(own) - 1, 0)
+            for n, (level, place) in enumerate(zip(own, self.levels, strict=False)):
+                self.parts[k, n] = place.top - self._cfg.half, level.rows + around, level.columns + around
         self._deposit.write(batch, motions, regions)
         self._sharpen.write(motions, regions, lags)
 
@@ -172,7 +183,7 @@ class Pyramid(Step):
             finer = image
 
     def from_px(self, window: NDArray[np.intp], level: NDArray[np.intp]) -> NDArray[np.float64]:
-        """Give maps (N, 3, 3) of px to cells of the images, for the windows and levels (N,) of some poses."""
+        """Give maps (N, 3, 3) of px to cells of `parts`, for the windows and levels (N,) of some poses."""
         cell, shift = self._maps(window, level)
         maps = np.zeros((len(cell), 3, 3))
         maps[:, 0, 0] = maps[:, 1, 1] = 1.0 / cell
@@ -181,7 +192,7 @@ class Pyramid(Step):
         return maps
 
     def to_px(self, window: NDArray[np.intp], level: NDArray[np.intp]) -> NDArray[np.float64]:
-        """Give maps (N, 3, 3) of cells of the images to px."""
+        """Give maps (N, 3, 3) of cells of `parts` to px."""
         cell, shift = self._maps(window, level)
         maps = np.zeros((len(cell), 3, 3))
         maps[:, 0, 0] = maps[:, 1, 1] = cell
@@ -194,10 +205,12 @@ class Pyramid(Step):
     ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
         """Size of a cell (N,) [px], and where the first pixel lies (N, 2) [cells]."""
         cell = self.layout.sizes[level, 0].astype(np.float64)
-        return cell, self._tops[level] - self._corners[window] / cell[:, None]
+        return cell, self._cfg.half - 0.5 - self._corners[window] / cell[:, None]
 
-    def level_for(self, pose: NDArray[np.float64], cells_a_module: float) -> NDArray[np.intp]:
+    def level_for(
+        self, window: NDArray[np.intp], pose: NDArray[np.float64], cells_a_module: float
+    ) -> NDArray[np.intp]:
         """Give the levels (N,) on which modules of affine poses (N, 3, 3) [px] have so many cells, nearly."""
         size = np.sqrt(np.abs(pose[:, 0, 0] * pose[:, 1, 1] - pose[:, 0, 1] * pose[:, 1, 0]))
         steps = np.log(size / cells_a_module / self.levels[0].cell) / math.log(self._cfg.scale_ratio)
-        return np.clip(np.round(steps), 0, len(self.levels) - 1).astype(np.intp)
+        return np.clip(np.round(steps), 0, self._deepest[window]).astype(np.intp)

@@ -23,24 +23,29 @@ class Score(Step):
         staging = self._staging
         self._images, self._ridge = images.device, cfg.ridge
         self._window, self._size = (staging.input((room,), np.int32) for _ in range(2))
+        self._part = staging.input((room, 3), np.int32)
         self._pose, self._score = staging.input((room, 9)), staging.output((room, 3))
         known = models()
         self._nothing = len(known.ptr) - 1
         self._ptr = workspace.table(("model ptr",), known.ptr)
         self._points = workspace.table(("model points",), known.points)
 
-    def write(self, window: NDArray[np.intp], size: NDArray[np.intp], pose: NDArray[np.float64]) -> None:
-        """Say which poses [cells] of which sizes, in which images; the rest of the room is left empty."""
+    def write(
+        self, window: NDArray[np.intp], part: NDArray[np.int32], size: NDArray[np.intp],
+        pose: NDArray[np.float64],
+    ) -> None:  # fmt: skip
+        """Say which poses [cells] of which sizes, in which parts of images; other rows are of nothing."""
         count = len(size)
         self._window.host[:count], self._window.host[count:] = window, 0
+        self._part.host[:count], self._part.host[count:] = part, 0
         self._size.host[:count], self._size.host[count:] = size, self._nothing
         self._pose.host[:count] = pose.reshape(-1, 9)
 
     def launch(self) -> None:
         """Launch the kernel."""
         self._backend.score_poses(
-            self._images, self._window.device, self._pose.device, self._size.device, self._ptr, self._points,
-            self._ridge, self._score.device,
+            self._images, self._window.device, self._part.device, self._pose.device, self._size.device,
+            self._ptr, self._points, self._ridge, self._score.device,
         )  # fmt: skip
 
     def read(self) -> NDArray[np.float32]:
@@ -83,7 +88,8 @@ def score(
     step = pyramid.images.once(
         ("score", room, cfg.ridge), lambda: Score(pyramid.images, room, cfg, workspace)
     )
-    level = pyramid.level_for(pose, cfg.cells_a_module)
-    step.write(window, size, compose(pyramid.from_px(window, level), pose))
+    level = pyramid.level_for(window, pose, cfg.cells_a_module)
+    part = pyramid.parts[window, level]
+    step.write(window, part, size, compose(pyramid.from_px(window, level), pose))
     step.run()
     return step.read()[: len(size), 1:].copy()

@@ -71,7 +71,7 @@ def screen(
         In the same order.
     """
     windows = np.asarray(window, np.intp)
-    level = pyramid.level_for(hypotheses.pose, cfg.cells_a_module)
+    level = pyramid.level_for(windows, hypotheses.pose, cfg.cells_a_module)
     start = compose(pyramid.from_px(windows, level), hypotheses.pose)
     spaces = [hypotheses.space(k) for k in range(len(hypotheses))]
     found = align(
@@ -82,6 +82,7 @@ def screen(
         cfg,
         workspace=workspace,
         image_idx=windows.astype(np.int32),
+        image_part=pyramid.parts[windows, level],
     )
     poses = compose(pyramid.to_px(windows, level), found.pose)
     poses /= poses[:, 2:, 2:]

@@ -147,7 +147,7 @@ def codes_of_singles(
     pose[:, 0, 0], pose[:, 0, 1], pose[:, 1, 0], pose[:, 1, 1] = cos, -sin, sin, cos
     pose[:, 0, 2], pose[:, 1, 2] = x - 4.5 * (cos - sin), y - 4.5 * (sin + cos)
     pose[:, 2, 2] = 1.0
-    level = pyramid.level_for(pose, cfg.cells_a_module)
+    level = pyramid.level_for(window, pose, cfg.cells_a_module)
     codes, images, count = Codes.of(workspace), pyramid.images, count_for(len(peaks))
     numbers = [codes.number(_pattern())] * len(peaks)
     tables = [codes.poses(each, cfg, numbers) for each in LEVELS]
@@ -155,7 +155,10 @@ def codes_of_singles(
         ("finder patterns", count, cfg, tuple(each.version for each in tables)),
         lambda: Align(images, count, tables, cfg.max_iterations, workspace),
     )
-    step.write(compose(pyramid.from_px(window, level), pose), window.astype(np.int32), numbers)
+    step.write(
+        compose(pyramid.from_px(window, level), pose), window.astype(np.int32), numbers,
+        pyramid.parts[window, level],
+    )  # fmt: skip
     step.run()
     refined = compose(pyramid.to_px(window, level), step.read().pose)
     refined = _as_seen(refined, direction)

@@ -4,13 +4,13 @@ from __future__ import annotations
 
 import numpy as np
 
-from evqr_kernels.numpy_backend.pose import bilinear, project
+from evqr_kernels.numpy_backend.pose import bilinear, part_of, project
 from evqr_kernels.numpy_backend.pose_normal import jacobian_of
 
 
 def align_poses(
-    image, image_idx, table_idx, points, table, table_ptr, gram, terms, factors, parameters, settings,
-    max_iterations, pose_inout, result_out,
+    image, image_idx, image_part, table_idx, points, table, table_ptr, gram, terms, factors, parameters,
+    settings, max_iterations, pose_inout, result_out,
 ) -> None:  # fmt: skip
     """Refine poses; overwrites the results."""
     for h, m in enumerate(table_idx):
@@ -18,8 +18,9 @@ def align_poses(
         # those of the parameters that are free, and of the gain
         rows = np.r_[: min(parameters[m], len(terms) - 2), len(terms) - 2 : len(terms)]
         _align_pose(
-            image[image_idx[h]], points[part], table[part], gram[m].astype(np.float64), terms[rows],
-            factors[rows], settings[m], max_iterations, pose_inout[h], result_out[h],
+            part_of(image[image_idx[h]], image_part[h]), points[part], table[part],
+            gram[m].astype(np.float64), terms[rows], factors[rows], settings[m], max_iterations,
+            pose_inout[h], result_out[h],
         )  # fmt: skip
 
 

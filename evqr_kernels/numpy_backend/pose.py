@@ -31,6 +31,12 @@ def project(pose: NDArray, u: NDArray, v: NDArray) -> tuple[NDArray, NDArray]:
         return (pose[0] * u + pose[1] * v + pose[2]) / depth, (pose[3] * u + pose[4] * v + pose[5]) / depth
 
 
+def part_of(image: NDArray, part: NDArray) -> NDArray:
+    """Give the part of an image that a pose looks at: first row, rows and columns."""
+    top, rows, columns = part
+    return image[top : top + rows, :columns]
+
+
 def corners(
     shape: tuple[int, int], x: NDArray, y: NDArray
 ) -> list[tuple[NDArray, NDArray, NDArray, NDArray]]:

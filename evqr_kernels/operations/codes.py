@@ -30,6 +30,8 @@ SAMPLED = (
     floats("points", "S", 2),
     floats("table", "S", "C"),
 )
+IN_PART = ints("image_part", "N", 3, default=(0, "Y", "X"), most=("Y", "Y", "X"))
+"""Of its image what a pose looks at: first row, rows and columns."""
 TERMS = (ints("terms", "P + 2", 4, index="C"), ints("factors", "P + 2", 4))
 ROWS, COLUMNS = "T // samples_a_module", "S // samples_a_module"
 """Modules of the largest code along each axis of its lattice."""
@@ -74,7 +76,14 @@ def _parameters(arrays: Arrays, sizes: Sizes) -> None:
     _at_least("C", sizes["C"], 2)
 
 
+def _in_parts(arrays: Arrays, sizes: Sizes) -> None:
+    part = arrays["image_part"]
+    if isinstance(part, np.ndarray) and (part[:, 0] + part[:, 1] > sizes["Y"]).any():
+        raise ValueError(f"image_part must end within the {sizes['Y']} rows of an image")
+
+
 def _alignable(arrays: Arrays, sizes: Sizes) -> None:
+    _in_parts(arrays, sizes)
     for name in ("centre", "scale"):
         if np.shape(sizes[name]) not in ((2,), (sizes["M"], 2)):
             raise ValueError(f"{name} must be two numbers, along u and v, a table, got {sizes[name]}")
@@ -108,6 +117,7 @@ def _packed(given: Sizes, dtype: np.dtype[Any]) -> Any:
 
 
 def _models(arrays: Arrays, sizes: Sizes) -> None:
+    _in_parts(arrays, sizes)
     ptr = arrays["model_ptr"]
     if not isinstance(ptr, np.ndarray):
         return
@@ -147,6 +157,7 @@ OPERATIONS = (
         arguments=(
             floats("image", "B", "Y", "X"),
             ints("image_idx", "N", index="B"),
+            IN_PART,
             ints("table_idx", "N", index="M", default=0),
             floats("points", "S", 2),
             floats("table", "S", "C"),
@@ -168,6 +179,7 @@ OPERATIONS = (
         arguments=(
             floats("image", "B", "Y", "X"),
             ints("image_idx", "N", index="B"),
+            IN_PART,
             floats("pose", "N", 9),
             ints("model_idx", "N", index="K"),
             ints("model_ptr", "K", 3),

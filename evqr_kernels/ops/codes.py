@@ -110,8 +110,8 @@ def align_poses(
     image: Floats, image_idx: Ints, pose: Floats, points: Floats, table: Floats, terms: Ints,
     factors: Ints, *, centre: ArrayLike, scale: ArrayLike, ridge: float = 1e-3, damping: float = 1e-3,
     tolerance: float = 1e-2, max_iterations: int = 10, table_idx: Ints | None = None,
-    table_ptr: Ints | None = None, parameters: Ints | None = None, backend: str = "auto",
-    device: str | None = None,
+    table_ptr: Ints | None = None, parameters: Ints | None = None, image_part: Ints | None = None,
+    backend: str = "auto", device: str | None = None,
 ) -> tuple[Floats, Floats]:  # fmt: skip
     """Refine poses by inverse-compositional Gauss-Newton.
 
@@ -145,6 +145,9 @@ def align_poses(
         First point of each table, and the one behind its last; by default one table of all points.
     parameters : (M,) int32
         How many of a table's parameters are free, 6 or 8: with 6 perspective stays; by default P.
+    image_part : (N, 3) int32
+        First row, rows and columns of the part of its image that each pose looks at: rows of the pose count
+        from the first, and beyond the part an image is 0.  By default all of it.
     backend, device : str
         See `evqr_kernels.ops`.
 
@@ -161,8 +164,8 @@ def align_poses(
     ValueError
         If an entry of ``image_idx`` is not 0 to B - 1, ``terms`` and ``factors`` do not have 8 or 10 rows, an
         entry of ``terms`` is not 0 to C - 1, one of ``table_idx`` not 0 to M - 1, one of ``table_ptr`` not 0
-        to S, ``max_iterations`` is less than 0, or ``centre`` or ``scale`` is neither a pair nor a pair a
-        table.
+        to S, ``image_part`` is not within the image, ``max_iterations`` is less than 0, or ``centre`` or
+        ``scale`` is neither a pair nor a pair a table.
 
     See Also
     --------
@@ -191,7 +194,7 @@ def align_poses(
 @checked
 def score_poses(
     image: Floats, image_idx: Ints, pose: Floats, model_idx: Ints, model_ptr: Ints, model: Floats, *,
-    ridge: float = 1e-3, backend: str = "auto", device: str | None = None,
+    ridge: float = 1e-3, image_part: Ints | None = None, backend: str = "auto", device: str | None = None,
 ) -> Floats:  # fmt: skip
     """Correlate images seen through poses with models of few points, of any number of kinds in one call.
 
@@ -207,6 +210,9 @@ def score_poses(
         Code coordinates (u, v), and the slope of what is printed along u and along v there.
     ridge : float [1]
         Regularises the gain, relative to the trace of its Gram matrix.
+    image_part : (N, 3) int32
+        First row, rows and columns of the part of its image that each pose looks at: rows of the pose count
+        from the first, and beyond the part an image is 0.  By default all of it.
     backend, device : str
         See `evqr_kernels.ops`.
 
@@ -220,7 +226,7 @@ def score_poses(
     ------
     ValueError
         If an entry of ``image_idx`` is not 0 to B - 1, one of ``model_idx`` not 0 to K - 1, a row of
-        ``model_ptr`` is not in order, or ``ridge`` is less than 0.
+        ``model_ptr`` is not in order, ``image_part`` is not within the image, or ``ridge`` is less than 0.
 
     See Also
     --------

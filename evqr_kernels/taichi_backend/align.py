@@ -4,7 +4,7 @@ from functools import cache
 
 from evqr_kernels.taichi_backend.language import array, float_of, indices_of_window, is_alone, run_at, ti
 from evqr_kernels.taichi_backend.launches import launch
-from evqr_kernels.taichi_backend.pose import make_bilinear, make_project
+from evqr_kernels.taichi_backend.pose import make_bilinear_in_part, make_project
 
 MOST = 10
 """Parameters, the two of the gain included."""
@@ -31,7 +31,7 @@ def solve_positive(a, b, n):
 def make_align_poses(dtype, columns: int, alone: bool):
     """Build the kernel for a table of ``columns`` functions; one thread per pose."""
     indices = indices_of_window(alone)
-    bilinear = make_bilinear(dtype)
+    bilinear_in_part = make_bilinear_in_part(dtype)
     project = make_project(dtype)
     first = columns - 2
     second = columns - 1
@@ -57,6 +57,7 @@ def make_align_poses(dtype, columns: int, alone: bool):
     def align_poses(
         image: array(dtype, 3),
         image_idx: array(ti.i32, 1),
+        image_part: array(ti.i32, 2),
         table_idx: array(ti.i32, 1),
         points: array(dtype, 2),
         table: array(dtype, 2),
@@ -75,6 +76,9 @@ def make_align_poses(dtype, columns: int, alone: bool):
             if idle > 0:
                 continue
             b = image_idx[h]
+            top = image_part[h, 0]
+            height = image_part[h, 1]
+            width = image_part[h, 2]
             which = table_idx[h]
             centre_u = settings[which, 0]
             centre_v = settings[which, 1]
@@ -97,7 +101,7 @@ def make_align_poses(dtype, columns: int, alone: bool):
                 energy = dtype(0.0)
                 for s in range(begin, end):
                     x, y = project(pose_inout, h, points[s, 0], points[s, 1])
-                    e = bilinear(image, b, x, y)
+                    e = bilinear_in_part(image, b, top, height, width, x, y)
                     if e != dtype(0.0):
                         at = run_at(s * columns)
                         for c in ti.static(range(columns)):
@@ -187,12 +191,12 @@ def make_align_poses(dtype, columns: int, alone: bool):
 
 
 def align_poses(
-    image, image_idx, table_idx, points, table, table_ptr, gram, terms, factors, parameters, settings,
-    max_iterations, pose_inout, result_out,
+    image, image_idx, image_part, table_idx, points, table, table_ptr, gram, terms, factors, parameters,
+    settings, max_iterations, pose_inout, result_out,
 ) -> None:  # fmt: skip
     """Launch; overwrites the results."""
     launch(
         make_align_poses(float_of(image), table.shape[1], is_alone(pose_inout)),
-        *(image, image_idx, table_idx, points, table, table_ptr, gram, terms, factors, parameters, settings),
-        *(max_iterations, pose_inout, result_out),
+        *(image, image_idx, image_part, table_idx, points, table, table_ptr, gram, terms, factors),
+        *(parameters, settings, max_iterations, pose_inout, result_out),
     )

@@ -32,25 +32,37 @@ def make_inside(dtype):
 
 
 @cache
-def make_bilinear(dtype):
-    """Build the bilinear look-up, 0 outside the image."""
+def make_bilinear_in_part(dtype):
+    """Build the bilinear look-up in some rows and columns, 0 beyond them."""
     inside = make_inside(dtype)
 
     @ti.func
-    def bilinear(image: ti.template(), b, x, y):
+    def bilinear_in_part(image: ti.template(), b, top, height, width, x, y):
         value = dtype(0.0)
-        if inside(x, y, image.shape[1], image.shape[2]):
+        if inside(x, y, height, width):
             column = int(x)
             row = int(y)
             fy = y - dtype(row)
-            at = run_at(row_of(image, b, row) + column)
-            below = run_at(row_of(image, b, row + 1) + column)
+            at = run_at(row_of(image, b, top + row) + column)
+            below = run_at(row_of(image, b, top + row + 1) + column)
             left = image[0, 0, at]
             left += fy * (image[0, 0, below] - left)
             right = image[0, 0, at + 1]
             right += fy * (image[0, 0, below + 1] - right)
             value = left + (x - dtype(column)) * (right - left)
         return value
+
+    return bilinear_in_part
+
+
+@cache
+def make_bilinear(dtype):
+    """Build the bilinear look-up in a whole image."""
+    bilinear_in_part = make_bilinear_in_part(dtype)
+
+    @ti.func
+    def bilinear(image: ti.template(), b, x, y):
+        return bilinear_in_part(image, b, 0, image.shape[1], image.shape[2], x, y)
 
     return bilinear
 

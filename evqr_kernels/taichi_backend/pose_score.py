@@ -4,13 +4,13 @@ from functools import cache
 
 from evqr_kernels.taichi_backend.language import array, float_of, ti
 from evqr_kernels.taichi_backend.launches import launch
-from evqr_kernels.taichi_backend.pose import make_bilinear, make_project
+from evqr_kernels.taichi_backend.pose import make_bilinear_in_part, make_project
 
 
 @cache
 def make_score_poses(dtype):
     """Build the kernel; one thread per pose."""
-    bilinear = make_bilinear(dtype)
+    bilinear_in_part = make_bilinear_in_part(dtype)
     project = make_project(dtype)
 
     @ti.func
@@ -23,6 +23,7 @@ def make_score_poses(dtype):
     def score_poses(
         image: array(dtype, 3),
         image_idx: array(ti.i32, 1),
+        image_part: array(ti.i32, 2),
         pose: array(dtype, 2),
         model_idx: array(ti.i32, 1),
         model_ptr: array(ti.i32, 2),
@@ -32,12 +33,15 @@ def make_score_poses(dtype):
     ):
         for h in range(score_out.shape[0]):
             b = image_idx[h]
+            top = image_part[h, 0]
+            height = image_part[h, 1]
+            width = image_part[h, 2]
             k = model_idx[h]
             sums = ti.Matrix.zero(dtype, 2, 6)
             for part in ti.static(range(2)):
                 for s in range(model_ptr[k, part], model_ptr[k, part + 1]):
                     x, y = project(pose, h, model[s, 0], model[s, 1])
-                    e = bilinear(image, b, x, y)
+                    e = bilinear_in_part(image, b, top, height, width, x, y)
                     along_u = model[s, 2]
                     along_v = model[s, 3]
                     sums[part, 0] += e * along_u
@@ -60,9 +64,11 @@ def make_score_poses(dtype):
     return score_poses
 
 
-def score_poses(image, image_idx, pose, model_idx, model_ptr, model, ridge: float, score_out) -> None:
+def score_poses(
+    image, image_idx, image_part, pose, model_idx, model_ptr, model, ridge: float, score_out
+) -> None:  # fmt: skip
     """Launch; overwrites."""
     if 0 in score_out.shape:
         return
     kernel = make_score_poses(float_of(image))
-    launch(kernel, image, image_idx, pose, model_idx, model_ptr, model, ridge, score_out)
+    launch(kernel, image, image_idx, image_part, pose, model_idx, model_ptr, model, ridge, score_out)

@@ -34,7 +34,7 @@ from functools import cache
 import warp as wp
 
 from evqr_kernels.warp_backend.language import last_axis_as_vector, launch, module_of, neighbours, vector
-from evqr_kernels.warp_backend.pose import make_bilinear, make_project
+from evqr_kernels.warp_backend.pose import make_bilinear_in_part, make_project
 
 MOST = 8
 """Parameters of a pose, at most."""
@@ -245,7 +245,7 @@ def make_align_poses(dtype: type, columns: int, unrolled: bool) -> wp.Kernel:
     vec_pair = vector(2, dtype)
     vec_settings = vector(SETTINGS, dtype)
     mat33 = wp.types.matrix(shape=(3, 3), dtype=dtype)
-    bilinear = make_bilinear(dtype)
+    bilinear_in_part = make_bilinear_in_part(dtype)
     project = make_project(dtype)
     along_u, along_v = columns - 2, columns - 1
     newton_step = make_newton_step(dtype, columns, unrolled)
@@ -257,6 +257,7 @@ def make_align_poses(dtype: type, columns: int, unrolled: bool) -> wp.Kernel:
     def align_poses(
         pairs: wp.array3d(dtype=vec_pair),
         image_idx: wp.array(dtype=wp.int32),
+        image_part: wp.array2d(dtype=wp.int32),
         table_idx: wp.array(dtype=wp.int32),
         points: wp.array2d(dtype=dtype),
         table: wp.array(dtype=vec_columns),
@@ -272,6 +273,9 @@ def make_align_poses(dtype: type, columns: int, unrolled: bool) -> wp.Kernel:
     ):
         h = wp.tid()
         b = image_idx[h]
+        top = image_part[h, 0]
+        height = image_part[h, 1]
+        width = image_part[h, 2]
         which = table_idx[h]
         first = table_ptr[which, 0]
         end = table_ptr[which, 1]
@@ -282,7 +286,7 @@ def make_align_poses(dtype: type, columns: int, unrolled: bool) -> wp.Kernel:
             energy = dtype(0.0)
             for s in range(first, end):
                 x, y = project(pose_inout, h, points[s, 0], points[s, 1])
-                e = bilinear(pairs, b, x, y)
+                e = bilinear_in_part(pairs, b, top, height, width, x, y)
                 if e != dtype(0.0):
                     moments += e * table[s]
                     energy += e * e
@@ -353,8 +357,8 @@ def make_align_poses(dtype: type, columns: int, unrolled: bool) -> wp.Kernel:
 
 
 def align_poses(
-    image, image_idx, table_idx, points, table, table_ptr, gram, terms, factors, parameters, settings,
-    max_iterations, pose_inout, result_out,
+    image, image_idx, image_part, table_idx, points, table, table_ptr, gram, terms, factors, parameters,
+    settings, max_iterations, pose_inout, result_out,
 ) -> None:  # fmt: skip
     """Launch; overwrites the results."""
     dtype, columns = image.dtype, table.shape[1]
@@ -364,6 +368,7 @@ def align_poses(
         inputs=[
             neighbours(image, 2),
             image_idx,
+            image_part,
             table_idx,
             points,
             last_axis_as_vector(table),

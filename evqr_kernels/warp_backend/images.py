@@ -42,15 +42,16 @@ def make_measure_rows(dtype: type) -> wp.Kernel:
             totals += wp.abs(values)
             for p in range(SPAN):
                 counts[p] += wp.where(values[p] != dtype(0.0), 1, 0)
+        # in the same order as if zeros followed: what an image is a part of makes no difference
+        for x in range(whole, width):
+            value = image[b, y, x]
+            totals[x - whole] = totals[x - whole] + wp.abs(value)
+            counts[x - whole] = counts[x - whole] + wp.where(value != dtype(0.0), 1, 0)
         total = dtype(0.0)
         count = wp.int32(0)
         for p in range(SPAN):
             total += totals[p]
             count += counts[p]
-        for x in range(whole, width):
-            value = image[b, y, x]
-            total += wp.abs(value)
-            count += wp.where(value != dtype(0.0), 1, 0)
         rows_out[b, y, 0] = total
         rows_out[b, y, 1] = dtype(count)
 

@@ -56,22 +56,40 @@ def make_inside(dtype: type) -> wp.Function:
 
 
 @cache
-def make_bilinear(dtype: type) -> wp.Function:
-    """Build the bilinear look-up; ``pairs[b, y, x]`` holds the pixels x and x + 1 of a row."""
+def make_bilinear_in_part(dtype: type) -> wp.Function:
+    """Build the bilinear look-up in some rows and columns, 0 beyond them.
+
+    ``pairs[b, y, x]`` holds the pixels x and x + 1 of a row.
+    """
     vec_pair = vector(2, dtype)
     inside = make_inside(dtype)
 
     @wp.func
-    def bilinear(pairs: wp.array3d(dtype=vec_pair), b: int, x: dtype, y: dtype) -> dtype:
+    def bilinear_in_part(
+        pairs: wp.array3d(dtype=vec_pair), b: int, top: int, height: int, width: int, x: dtype, y: dtype
+    ) -> dtype:
         value = dtype(0.0)
-        if inside(x, y, pairs.shape[1], pairs.shape[2] + 1):
+        if inside(x, y, height, width):
             column = int(x)
             row = int(y)
-            top = pairs[b, row, column]
-            bottom = pairs[b, row + 1, column]
-            both = top + (y - dtype(row)) * (bottom - top)
+            above = pairs[b, top + row, column]
+            below = pairs[b, top + row + 1, column]
+            both = above + (y - dtype(row)) * (below - above)
             value = both[0] + (x - dtype(column)) * (both[1] - both[0])
         return value
+
+    return bilinear_in_part
+
+
+@cache
+def make_bilinear(dtype: type) -> wp.Function:
+    """Build the bilinear look-up in a whole image."""
+    vec_pair = vector(2, dtype)
+    bilinear_in_part = make_bilinear_in_part(dtype)
+
+    @wp.func
+    def bilinear(pairs: wp.array3d(dtype=vec_pair), b: int, x: dtype, y: dtype) -> dtype:
+        return bilinear_in_part(pairs, b, 0, pairs.shape[1], pairs.shape[2] + 1, x, y)
 
     return bilinear
 

@@ -16,7 +16,7 @@ from functools import cache
 import warp as wp
 
 from evqr_kernels.warp_backend.language import last_axis_as_vector, launch, module_of, neighbours, vector
-from evqr_kernels.warp_backend.pose import make_bilinear, make_project
+from evqr_kernels.warp_backend.pose import make_bilinear_in_part, make_project
 
 
 @cache
@@ -25,7 +25,7 @@ def make_score_poses(dtype: type) -> wp.Kernel:
     vec_pair = vector(2, dtype)
     vec_point = vector(4, dtype)
     vec_sums = vector(6, dtype)
-    bilinear = make_bilinear(dtype)
+    bilinear_in_part = make_bilinear_in_part(dtype)
     project = make_project(dtype)
 
     @wp.func
@@ -38,6 +38,7 @@ def make_score_poses(dtype: type) -> wp.Kernel:
     def score_poses(
         pairs: wp.array3d(dtype=vec_pair),
         image_idx: wp.array(dtype=wp.int32),
+        image_part: wp.array2d(dtype=wp.int32),
         pose: wp.array2d(dtype=dtype),
         model_idx: wp.array(dtype=wp.int32),
         model_ptr: wp.array2d(dtype=wp.int32),
@@ -47,6 +48,9 @@ def make_score_poses(dtype: type) -> wp.Kernel:
     ):
         h = wp.tid()
         b = image_idx[h]
+        top = image_part[h, 0]
+        height = image_part[h, 1]
+        width = image_part[h, 2]
         k = model_idx[h]
         sums = vec_sums()
         first = vec_sums()
@@ -56,7 +60,7 @@ def make_score_poses(dtype: type) -> wp.Kernel:
                 sums = vec_sums()
             point = model[s]
             x, y = project(pose, h, point[0], point[1])
-            e = bilinear(pairs, b, x, y)
+            e = bilinear_in_part(pairs, b, top, height, width, x, y)
             sums += vec_sums(
                 e * point[2],
                 e * point[3],
@@ -80,7 +84,9 @@ def make_score_poses(dtype: type) -> wp.Kernel:
     return score_poses
 
 
-def score_poses(image, image_idx, pose, model_idx, model_ptr, model, ridge: float, score_out) -> None:
+def score_poses(
+    image, image_idx, image_part, pose, model_idx, model_ptr, model, ridge: float, score_out
+) -> None:  # fmt: skip
     """Launch; overwrites."""
     if not score_out.size:
         return
@@ -88,7 +94,8 @@ def score_poses(image, image_idx, pose, model_idx, model_ptr, model, ridge: floa
         make_score_poses(image.dtype),
         score_out.shape[0],
         inputs=[
-            neighbours(image, 2), image_idx, pose, model_idx, model_ptr, last_axis_as_vector(model), ridge,
+            neighbours(image, 2), image_idx, image_part, pose, model_idx, model_ptr,
+            last_axis_as_vector(model), ridge,
         ],
         outputs=[score_out],
         device=image.device,

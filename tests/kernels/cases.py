@@ -341,7 +341,8 @@ def score_poses(rng, dtype):
     ptr = np.array([[0, 30, 60], [60, 60, 90], [5, 50, 50], [70, 70, 70]], np.int32)
     idx = np.array([0, 1, 2, 3, 0], np.int32)
     image_idx = np.array([2, 1, 0, 2, 1], np.int32)
-    return call("score_poses", [image, image_idx, poses(rng, 5, dtype), idx, ptr, model, 1e-3])
+    part = np.array([[0, Y, X], [3, Y - 5, X - 7], [0, 0, X], [2, Y - 2, X - 1], [1, 9, X]], np.int32)
+    return call("score_poses", [image, image_idx, part, poses(rng, 5, dtype), idx, ptr, model, 1e-3])
 
 
 def code_rhs(rng, dtype, shape=WIDE, samples=3, smaller=()):

@@ -78,6 +78,27 @@ def align(backend, dtype, tilt, device="cpu", poses=None, sides=SIDES[0], **opti
     )  # fmt: skip
 
 
+def test_poses_are_relative_to_their_part_of_an_image(placed, dtype, rng):
+    """To the bit, wherever it lies, and whatever is around it."""
+    image, *code = scene(dtype, True, SIDES[0])
+    _, height, width = image.shape
+    around = rng.normal(size=(3, 2 * height, width + 9)).astype(dtype)
+    part = np.tile(np.array([[0, height, width]], np.int32), (3, 1))
+    for k, top in enumerate((0, height // 2, height)):
+        around[k, top : top + height, :width] = image[0]
+        part[k, 0] = top
+    # half of what they look at lies beside the image
+    poses = starts(dtype) + np.array([0, 0, 0.5 * width, 0, 0, 0.5 * height, 0, 0, 0], dtype)
+    options = {"centre": centre_of(SIDES[0]), "scale": centre_of(SIDES[0])}
+    options |= {"backend": placed.backend.name, "device": placed.device, "max_iterations": 2}
+    whose = np.arange(3, dtype=np.int32)
+    found = evqr_kernels.align_poses(around, whose, poses, *code, image_part=part, **options)
+    alone = evqr_kernels.align_poses(image, 0 * whose, poses, *code, **options)
+    for one, other in zip(found, alone, strict=True):
+        assert np.isfinite(one).all()
+        np.testing.assert_array_equal(one, other)
+
+
 @pytest.mark.parametrize("sides", SIDES, ids=str)
 @pytest.mark.parametrize("tilt", [False, True])
 @pytest.mark.parametrize("most", [0, 1, 3])

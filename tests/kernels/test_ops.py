@@ -396,6 +396,12 @@ BAD = [
         ValueError,
         "rows of model_ptr must be 0 to 20 and not decrease",
     ),
+    (
+        "align_poses",
+        {"image_part": np.array([[0, Y, X], [2, Y - 1, X], [0, Y, X]], np.int32)},
+        ValueError,
+        f"image_part must end within the {Y} rows of an image",
+    ),
     ("align_poses", {"arg5": np.zeros((9, 4), np.int32)}, ValueError, "factors must have shape (P + 2, 4)"),
     ("align_poses", {"arg5": np.full((8, 4), 4, np.int32)}, ValueError, "terms must be 0 to 3, got 4 to 4"),
     (
