@@ -31,6 +31,7 @@ EXTRAS = {
     "distributed": ("distributed",),
     "line": ("paho", "httpx", "starlette", "uvicorn", "prometheus_client"),
     "opcua": ("asyncua",),
+    "live": ("neuromorphic_drivers", "dv_processing"),
 }
 """Extras, and the modules that they bring."""
 
@@ -42,7 +43,7 @@ def doctor(as_json: bool, backend: str, device: str, threads: int | None) -> int
     """Tell what evqr finds on this machine, and read the recording that comes with it.
 
     Versions, backend and devices, where compiled kernels are kept, cores and threads, extras with the command
-    that installs those that are missing.
+    that installs those that are missing, cameras that are plugged in.
 
     Exit status: 0 when the recording is read, 2 when it is not.
     """
@@ -71,6 +72,7 @@ def _findings(backend: str, device: str, threads: int | None) -> Iterator[tuple[
     except OSError as error:
         yield "temporary_files", f"none ({error.strerror or error})"
     yield "extras", {extra: _extra(extra, modules) for extra, modules in EXTRAS.items()}
+    yield "cameras", _cameras()
     try:
         yield from _computing(backend, device)
         yield "demo", _demo(backend, device, threads)
@@ -101,6 +103,12 @@ def _demo(backend: str, device: str, threads: int | None) -> dict[str, Any]:
     elapsed = round(1e3 * (time.perf_counter() - began), 1)
     texts = [reading.text for reading in result.readings]
     return {"read": bool(texts), "texts": texts, "reason": result.reason, "milliseconds": elapsed}
+
+
+def _cameras() -> str:
+    from evqr.live.cameras import describe_cameras
+
+    return describe_cameras()
 
 
 def _extra(extra: str, modules: tuple[str, ...]) -> dict[str, Any]:

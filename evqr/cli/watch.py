@@ -6,7 +6,6 @@ import signal
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from dataclasses import replace
-from pathlib import Path
 from typing import TYPE_CHECKING, Any, Protocol
 
 import click
@@ -41,6 +40,7 @@ IN_STREAM = "stream"
         "evqr watch line3.raw --json",
         "evqr watch line3.h5 --json --trigger gates.csv --speed 1",
         "evqr watch tcp://camera:7000 --json --trigger stream",
+        "evqr watch camera --json",
         "evqr watch --example > line3.toml",
         "evqr watch --config line3.toml",
     )
@@ -103,10 +103,11 @@ def watch(
 ) -> int:
     """Read a line: a record as soon as it is certain, one a part.
 
-    SOURCE is a recording, which is played; or tcp://HOST:PORT, unix:PATH or - for standard input, from which
-    EVT3 or a packed stream comes. It ends with its source, or on SIGTERM, and tells all parts then. With
-    --config it runs as a service: its source is in the file, and it logs to standard error, a JSON object a
-    line.
+    SOURCE is a recording, which is played; tcp://HOST:PORT, unix:PATH or - for standard input, from which
+    EVT3 or a packed stream comes; camera or camera:SERIAL, at this machine (evqr doctor lists them); or
+    dv://HOST:PORT[,PORT OF TRIGGERS], what dv-processing or DV sends. What is lost is opened again. It ends
+    with its source, or on SIGTERM, and tells all parts then. With --config it runs as a service: its source
+    is in the file, and it logs to standard error, a JSON object a line.
 
     Exit status: 0 on a clean stop, 1 when a source that ended had nothing that was read, 2 when it could not
     be used, 3 when evqr itself failed.
@@ -140,7 +141,6 @@ def watch(
     options.prepare(backend, device)
     read = False
     try:
-        _check_speed(source, speed)
         with opened_source(source, speed=speed, **opening) as opened, _stopped_by_sigterm(opened) as stopped:
             for record in feed(
                 opened, make, triggers, in_stream=trigger == IN_STREAM, seen=_tell_interruption(source)
@@ -188,13 +188,6 @@ def _serve(path: str, *, check: bool, as_json: bool) -> int:
     with logged_as_json(), _stopped_by_sigterm(service) as stopped:
         read = service.run()
     return OK if read or stopped else NOTHING
-
-
-def _check_speed(source: str, speed: float | None) -> None:
-    from evqr.live.connection import Connection
-
-    if speed is not None and Connection.meant(source) and not Path(source).exists():
-        raise UsageError("--speed is for recordings: what comes over a connection comes when it does")
 
 
 @contextmanager

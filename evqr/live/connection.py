@@ -6,32 +6,26 @@ import os
 import selectors
 import socket
 import sys
-import threading
 from collections.abc import Callable, Iterator
 from urllib.parse import urlsplit
 
 from evqr.errors import RecordingError, UsageError
 from evqr.live.evt3_stream import Evt3Decoder
 from evqr.live.packed_stream import MAGIC, PackedDecoder
-from evqr.live.pieces import Idle, Interrupted, Piece
+from evqr.live.pieces import Idle, Piece
+from evqr.live.source import IDLE_S, RETRY_S, Reopened
 
 AT_ONCE = 1 << 20
 """Bytes taken at once at most."""
 
-IDLE_S = 0.05
-"""How long nothing may come before that is said [s]."""
-
 CONNECT_S = 5.0
-
-RETRY_S = 0.1, 5.0
-"""First and longest time between two tries to connect [s]; they grow by doubling."""
 
 SCHEMES = "tcp://HOST:PORT, unix:PATH or -"
 
 Decoder = PackedDecoder | Evt3Decoder
 
 
-class Connection:
+class Connection(Reopened):
     """A stream of events from a socket that somebody listens on, or from standard input.
 
     The first bytes of each connection tell whether it is a packed stream or EVT3.
@@ -50,19 +44,13 @@ class Connection:
     """
 
     def __init__(self, where: str, *, retry_s: tuple[float, float] = RETRY_S) -> None:
-        self.name = where
-        self._retry_s = retry_s
-        self._stopped = threading.Event()
+        super().__init__(where, retry_s)
         self._connect = _connector(where)
 
     @staticmethod
     def meant(where: str) -> bool:
-        """Whether a text names such a source rather than a file."""
+        """Whether a text names such a source."""
         return where == "-" or where.startswith(("tcp://", "unix:"))
-
-    def stop(self) -> None:
-        """End `pieces` soon; any thread may say so."""
-        self._stopped.set()
 
     def pieces(self) -> Iterator[Piece]:
         """Give what comes, until it is stopped; of standard input, until its end.
@@ -79,29 +67,13 @@ class Connection:
             Standard input is no stream of events. What a connection sends that is none is a reason to connect
             again.
         """
-        if self._connect is None:
-            yield from self._from(sys.stdin.fileno())
-            return
-        pause_s, lost = self._retry_s[0], False
-        while not self._stopped.is_set():
-            try:
-                with self._connect() as connected:
-                    connected.setblocking(False)
-                    for piece in self._from(connected.fileno()):
-                        if not isinstance(piece, Idle):
-                            pause_s, lost = self._retry_s[0], False
-                        yield piece
-                reason = "the other side has ended the connection"
-            except (OSError, RecordingError) as error:
-                reason = getattr(error, "strerror", None) or str(error)
-            if self._stopped.is_set():
-                return
-            if not lost:
-                lost = True
-                yield Interrupted(" ".join(reason.split()))
-            self._stopped.wait(pause_s)
-            pause_s = min(2.0 * pause_s, self._retry_s[1])
-            yield Idle()
+        return self._from(sys.stdin.fileno()) if self._connect is None else super().pieces()
+
+    def _opened(self) -> Iterator[Piece]:
+        assert self._connect is not None
+        with self._connect() as connected:
+            connected.setblocking(False)
+            yield from self._from(connected.fileno())
 
     def _from(self, number: int) -> Iterator[Piece]:
         """Decode what comes from a file descriptor, up to its end."""

@@ -5,16 +5,16 @@ from __future__ import annotations
 import logging
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
-from pathlib import Path
 from typing import TYPE_CHECKING
 
-from evqr.errors import EvqrError
+from evqr.errors import EvqrError, UsageError
 from evqr.line.gates import Trigger
 from evqr.line.reader import Reader
 from evqr.line.records import LineRecord
-from evqr.live.connection import Connection
+from evqr.live.named import live_source
 from evqr.live.pieces import Events, Interrupted, Piece, Sensor, TimePasses, TriggerSeen
 from evqr.live.playing import Playing
+from evqr.live.source import LiveSource
 from evqr.recording import open_recording
 
 if TYPE_CHECKING:
@@ -28,13 +28,13 @@ _LOG = logging.getLogger(__name__)
 @contextmanager
 def opened_source(
     where: str, *, speed: float | None = None, **opening: Unpack[RecordingOptions]
-) -> Iterator[Connection | Playing]:
-    """Open a connection, or a recording that is played; what was odd about a recording is logged at its end.
+) -> Iterator[LiveSource]:
+    """Open a live source, or a recording that is played; what was odd about a recording is logged at its end.
 
     Parameters
     ----------
     where : str
-        As of `Connection`, or a path, which goes before it.
+        As of `live_source`, or a path, which goes before it.
     speed : float, optional
         Of a recording, as of `Playing`.
     **opening : as for `open_recording`
@@ -42,7 +42,7 @@ def opened_source(
 
     Yields
     ------
-    source : Connection or Playing
+    source : LiveSource
         To feed a reader with.
 
     Raises
@@ -50,8 +50,11 @@ def opened_source(
     EvqrError
         It cannot be opened.
     """
-    if Connection.meant(where) and not Path(where).exists():
-        yield Connection(where)
+    source = live_source(where)
+    if source is not None:
+        if speed is not None:
+            raise UsageError(f"{where}: speed= is for recordings: a live source has its own")
+        yield source
         return
     with open_recording(where, **opening) as recording:
         yield Playing(recording, where, speed=speed)
@@ -60,7 +63,7 @@ def opened_source(
 
 
 def feed(
-    source: Connection | Playing,
+    source: LiveSource,
     make: Callable[[tuple[int, int]], Reader],
     triggers: Sequence[Trigger] = (),
     *,
@@ -71,7 +74,7 @@ def feed(
 
     Parameters
     ----------
-    source : Connection or Playing
+    source : LiveSource
         Of events.
     make : callable
         Makes the reader, once the size of the sensor is known.

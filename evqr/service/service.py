@@ -19,9 +19,9 @@ from evqr.errors import EvqrError, UsageError
 from evqr.events.array import EventArray
 from evqr.line.reader import Reader
 from evqr.line.records import LineRecord, PartRecord, ReadRecord
-from evqr.live.connection import Connection
 from evqr.live.pieces import Events, Idle, Interrupted, Piece, Sensor
 from evqr.live.playing import Playing
+from evqr.live.source import LiveSource
 from evqr.page.state import LineState
 from evqr.results import module_rows
 from evqr.service.feeding import feed, opened_source
@@ -72,7 +72,7 @@ class Service:
     ) -> None:
         self._settings, self._jobs, self._out = settings, dict(jobs or {}), out
         self.state = LineState(settings.line)
-        self._source: Connection | Playing | None = None
+        self._source: LiveSource | None = None
         self._stopped = False
         self._outlets: list[tuple[str, Outlet]] = []
         self._recorder: FlightRecorder | None = None

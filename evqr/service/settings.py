@@ -37,7 +37,8 @@ class SourceSettings(Settings):
     Attributes
     ----------
     where : str
-        A recording, which is played, ``tcp://HOST:PORT``, ``unix:PATH``, or ``-`` for standard input.
+        A recording, which is played, ``tcp://HOST:PORT``, ``unix:PATH``, ``-`` for standard input,
+        ``camera``, ``camera:SERIAL``, or ``dv://HOST:PORT``.
     speed : float, optional
         Of a recording: time of it over time. Default: as fast as it is read.
     sensor : str, optional
