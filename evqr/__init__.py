@@ -38,7 +38,7 @@ if TYPE_CHECKING:
     from evqr.events.packed import PackedEvents
     from evqr.events.window import Window
     from evqr.fit.detection import Detection, NotFound, Target
-    from evqr.fit.modules import CodeEstimate, NormalEquations
+    from evqr.fit.modules import CodeEstimate, Fused, NormalEquations
     from evqr.line.aio import AsyncReader
     from evqr.line.reader import Reader
     from evqr.line.records import (
@@ -106,6 +106,7 @@ __all__ = [
     "EvqrError",
     "FinderConfig",
     "FinderPass",
+    "Fused",
     "GapRecord",
     "Gs1Element",
     "JobConfig",
@@ -201,6 +202,7 @@ _HOME = {
     ),
     "evqr.fit.modules": (
         "CodeEstimate",
+        "Fused",
         "NormalEquations",
     ),
     "evqr.line.aio": ("AsyncReader",),

@@ -23,6 +23,7 @@ LAUNCHED = (
     ("align_poses", {"C": MOMENTS, "N": 1}),
     ("align_poses", {"C": MOMENTS, "N": 2}),
     ("code_rhs", {}),
+    ("sum_equations", {}),
     ("pull_modules", {}),
     ("solve_code", {}),
 )

@@ -200,7 +200,12 @@ class Solver:
             for one in best
         ]
 
-    def follow(self, batch: EventBatch, detections: Sequence[Detection]) -> list[Detection | NotFound]:
+    def follow(
+        self,
+        batch: EventBatch,
+        detections: Sequence[Detection],
+        before: Sequence[NormalEquations | None] = (),
+    ) -> list[Detection | NotFound]:
         """Find codes again that earlier windows showed.
 
         Parameters
@@ -210,6 +215,10 @@ class Solver:
             times.
         detections : sequence of Detection
             Of the code in each; its motion is taken to hold until the middle of the window.
+        before : sequence of NormalEquations or None
+            What earlier windows say of each, in units of their noise: its modules are solved for with what
+            the window adds to that, as `Detection.fused`.  `NormalEquations.nothing` of the first window;
+            None of a code whose modules are not asked.  Default: of none.
 
         Returns
         -------
@@ -225,7 +234,9 @@ class Solver:
                 for window, detection in zip(batch.windows, detections, strict=True)
             ]
             regions = [region_around(target.pose, target.space, one) for target in targets]
-            measured = measure(batch, targets, regions, self.config, workspace=self.workspace)
+            measured = measure(
+                batch, targets, regions, self.config, workspace=self.workspace, before=before
+            )  # fmt: skip
         timings_ms = FrozenDict({stage: ms / len(targets) for stage, ms in clock.ms.items()})
         found: list[Detection | NotFound] = []
         for detection in measured.detections(targets, regions, timings_ms=timings_ms):

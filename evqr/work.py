@@ -78,10 +78,13 @@ class Follow(NamedTuple):
         Where.
     detection : Detection
         The code.
+    before : NormalEquations, optional
+        As of `Solver.follow`.
     """
 
     window: Window
     detection: Detection
+    before: NormalEquations | None = None
 
 
 class Solve(NamedTuple):
@@ -328,7 +331,8 @@ def do(works: list[Any], solver: Solver, pool: Executor | None = None) -> list[A
         return list(solver.find(batch, [work.motion for work in works], tau_us=taus))
     if kind is Follow:
         batch = EventBatch.of([work.window for work in works])
-        return list(solver.follow(batch, [work.detection for work in works]))
+        detections, before = [work.detection for work in works], [work.before for work in works]
+        return list(solver.follow(batch, detections, before))
     if kind is Solve:
         clock = StageClock()
         with clock("stage_two"):

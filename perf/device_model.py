@@ -349,9 +349,10 @@ def follow(scene: Scene, windows: int, solver: Solver) -> Callable[[], list[Any]
 
     def run() -> list[Any]:
         fresh = [scene.again(each) for each in cut]
-        found = solver.follow(EventBatch.of(fresh), [scene.before] * windows)
+        said = [scene.before.weighted] * windows
+        found = solver.follow(EventBatch.of(fresh), [scene.before] * windows, said)
         seen = [each for each in found if isinstance(each, Detection)]
-        return list(zip(solver.solve(seen), seen, strict=True))
+        return [(each.fused.estimate, each) for each in seen if each.fused]
 
     return run
 

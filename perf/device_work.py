@@ -128,6 +128,7 @@ WORK: dict[str, Callable[[Sizes], Work]] = {
     "align_poses.align_poses": _alignment,
     "code_rhs.sample_lattice": lambda s: Work(s.given["samples_a_module"], s.of("samples_out"), 5),
     "code_rhs.fold_samples": _fold,
+    "sum_equations.sum_equations": lambda s: Work(0, s.of("rhs") / 8, 24),
     "pull_modules.pull_modules": lambda s: Work(0, s.of("q") / 8, 17),
     "solve_code.start": lambda s: _stencil(1.0, s),
     "solve_code.apply": lambda s: _stencil(_share(s), s),

@@ -410,6 +410,14 @@ def code_product(size: Size, rng, dtype) -> Problem:
     return problem("code_product", [q, *system], q.size, madds, "module")
 
 
+def sum_equations(size: Size, rng, dtype) -> Problem:
+    (rhs, stencil, *_), before = _system(size, rng, dtype)
+    gain, score = np.ones((size.batch, 2), dtype), np.ones(size.batch, dtype)
+    products, idx = rng.random((3, *stencil.shape[1:])).astype(dtype), np.zeros(size.batch, np.int32)
+    inputs = [rhs, gain, score, products, before, stencil, score, 0 * score, idx, before[:1], 1.0, 0.1, 10.0]
+    return problem("sum_equations", inputs, rhs.size, rhs.size, "module")
+
+
 def pull_modules(size: Size, rng, dtype) -> Problem:
     (seen, _, damping, _), q = _system(size, rng, dtype)
     return problem("pull_modules", [seen, q, damping, 4.0], q.size, 2 * q.size, "module")
@@ -588,6 +596,7 @@ PROBLEMS: dict[str, Callable[..., Problem]] = {
         code_rhs,
         code_normal_equations,
         code_product,
+        sum_equations,
         pull_modules,
         solve_code,
         solve_code_banded,

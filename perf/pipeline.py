@@ -25,6 +25,7 @@ from evqr.events.batch import EventBatch
 from evqr.events.buffer import EventBuffer
 from evqr.events.window import Window
 from evqr.fit.detection import Detection, NotFound
+from evqr.fit.modules import NormalEquations
 from evqr.geometry import outline
 from evqr.motion import Motion
 from evqr.paper.methods import descent, integrate
@@ -133,7 +134,8 @@ def run_cold(job: Job, solver: Solver, clock: StageClock | None = None) -> str |
 def run_tracked(job: Job, solver: Solver, clock: StageClock | None = None) -> str | None:
     assert job.before is not None
     window = job.buffer.window(job.start_us, job.start_us + job.window_us)
-    (found,) = solver.follow(EventBatch.of([window]), [job.before])
+    nothing = NormalEquations.nothing(job.before.space)
+    (found,) = solver.follow(EventBatch.of([window]), [job.before], [nothing])
     return _finish(found, solver, clock or StageClock())
 
 
@@ -147,8 +149,11 @@ def _finish(found: Detection | NotFound, solver: Solver, clock: StageClock) -> s
     clock.add(found.timings_ms)
     if isinstance(found, NotFound):
         return None
-    with clock("stage_two"):
-        (estimate,) = solver.solve([found])
+    if found.fused is None:
+        with clock("stage_two"):
+            (estimate,) = solver.solve([found])
+    else:
+        estimate = found.fused.estimate
     with clock("decode"):
         outcome = decode_grid(estimate.q, found.space)
     return outcome.text if isinstance(outcome, Decoded) else None

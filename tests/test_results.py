@@ -12,7 +12,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from scenes import find
 
-from evqr import EventBuffer, Solver, errors, open_recording
+from evqr import EventBatch, EventBuffer, Solver, errors, open_recording
 from evqr.demo import demo_recording
 from evqr.reason import Reason
 from evqr.results import ReadResult, ReadStatus, Statistics, WindowReading
@@ -234,6 +234,7 @@ def steps():
     found = find(solver, window, moving.motion)
     nothing = find(solver, window.keep(np.arange(len(window)) % 50 == 0), moving.motion)
     (estimate,) = solver.solve([found])
+    (again,) = solver.follow(EventBatch.of([window]), [found], [found.weighted])
     return {
         type(each).__name__: each
         for each in (
@@ -244,6 +245,7 @@ def steps():
             nothing,
             estimate,
             found.equations,
+            again.fused,
             found.space,
         )
     }
@@ -251,7 +253,7 @@ def steps():
 
 @pytest.mark.parametrize(
     "name",
-    "MotionEstimate Motion Detection Target NotFound CodeEstimate NormalEquations CodeSpace".split(),
+    "MotionEstimate Motion Detection Target NotFound CodeEstimate Fused NormalEquations CodeSpace".split(),
 )
 def test_what_the_solver_gives_are_values_too(name, steps):
     value = steps[name]

@@ -107,6 +107,11 @@ class Align(Step):
         self._pose = self._staging.both((count, 9), value=np.eye(3).ravel())
 
     @property
+    def image_idx(self) -> Any:
+        """Images that they are on (N,) on the device."""
+        return self._image_idx.device
+
+    @property
     def pose(self) -> Any:
         """Poses (N, 9) on the device."""
         return self._pose.device
@@ -115,6 +120,16 @@ class Align(Step):
     def gain(self) -> Any:
         """Gains (N, 2) on the device."""
         return self._results[-1].device[:, :2]
+
+    @property
+    def score(self) -> Any:
+        """Scores (N,) on the device, of all that is known."""
+        return self._results[-1].device[:, 2]
+
+    @property
+    def noise(self) -> Any:
+        """Variances (N,) of a sample on the device."""
+        return self._results[-1].device[:, 3]
 
     @property
     def number(self) -> Any:
@@ -153,6 +168,39 @@ class Align(Step):
             last[:, 3],
             functools.reduce(np.add, [result[:, 4].astype(np.int64) for result in results]),
         )
+
+
+class Beyond(Step):
+    """Scores what an alignment ends with by what is known outside of finder patterns: see `judged`."""
+
+    def __init__(
+        self, images: Images, poses: Align, tables: PoseTables, workspace: Workspace, staging: Staging
+    ) -> None:
+        super().__init__(workspace, staging)
+        count = images.device.shape[0]
+        self._images, self._poses, self._tables = images.device, poses, tables.arguments
+        self._number = staging.input((count,), np.int32)
+        self._result = staging.output((count, 5))
+
+    def write(self, spaces: Sequence[CodeSpace], numbers: Sequence[int]) -> None:
+        """Say which codes: those with several finder patterns are not looked at."""
+        self._single = [k for k, space in enumerate(spaces) if space.single_pattern]
+        single = np.zeros(len(numbers), np.int32)
+        single[self._single] = [numbers[k] for k in self._single]
+        self._number.fill(single)
+
+    def launch(self) -> None:
+        """Launch the kernels one by one."""
+        self._backend.align_poses(
+            self._images, self._poses.image_idx, self._number.device, *self._tables, 0, self._poses.pose,
+            self._result.device,
+        )  # fmt: skip
+
+    def judged(self, found: Alignment) -> Alignment:
+        """Wait for the device and give poses with both scores in one."""
+        score, which = found.score.copy(), self._single
+        score[which] = 0.5 * (score[which] + self._result.read()[which, 2])
+        return replace(found, score=score)
 
 
 def align(

@@ -8,7 +8,7 @@ from dataclasses import dataclass, field
 import numpy as np
 from numpy.typing import NDArray
 
-from evqr.fit.modules import NormalEquations
+from evqr.fit.modules import Fused, NormalEquations
 from evqr.geometry import at_centre, outline
 from evqr.motion import Motion
 from evqr.reason import Reason
@@ -119,6 +119,8 @@ class Detection(Value):
         Gauss-Newton steps that it took.
     timings_ms : mapping of str to float [ms]
         By stage; does not count in comparisons.
+    fused : Fused or None
+        What the window says together with earlier ones; None where that was not asked.
     """
 
     target: Target
@@ -128,6 +130,7 @@ class Detection(Value):
     equations: NormalEquations = field(repr=False)
     iterations: int
     timings_ms: Mapping[str, float] = field(default=NO_TIMINGS, compare=False)
+    fused: Fused | None = field(default=None, repr=False)
 
     @property
     def space(self) -> CodeSpace:

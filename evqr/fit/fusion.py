@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 
 from evqr.config import ModulesConfig, Vote
 from evqr.fit.model import quiet_modules
-from evqr.fit.modules import REACH, CodeEstimate, NormalEquations, solve_modules
+from evqr.fit.modules import REACH, CodeEstimate, Fused, NormalEquations, solve_modules
 from evqr.workspace import Workspace
 
 T = TypeVar("T")
@@ -73,11 +73,24 @@ class _Sum:
         self.windows = 0
         self.estimate: CodeEstimate | None = None
 
+    @property
+    def before(self) -> NormalEquations | None:
+        """What another window's equations are added to before they are solved; None: nothing."""
+        return self._equations
+
     def adding(self, weighted: NormalEquations, alone: CodeEstimate | None = None) -> Solving[CodeEstimate]:
         """Add a window, and what it says alone where that is known, and return the estimate of all so far."""
         self.windows += 1
         self.estimate = yield from self._with(weighted, alone)
         return self.estimate
+
+    def added(self, weighted: NormalEquations, fused: Fused) -> Solving[CodeEstimate]:
+        """Add a window that was solved for with `before`."""
+        if self._vote is not Vote.INFORMATION:
+            return (yield from self.adding(weighted, fused.estimate))
+        self.windows += 1
+        self._equations, self.estimate = fused.equations, fused.estimate
+        return fused.estimate
 
     def _with(self, weighted: NormalEquations, alone: CodeEstimate | None) -> Solving[CodeEstimate]:
         if self._vote is Vote.INFORMATION:
@@ -136,10 +149,19 @@ class Fusion:
         """
         return self._solved(self.adding(equations, noise))
 
-    def adding(self, equations: NormalEquations, noise: float) -> Solving[CodeEstimate]:
-        """Add a window; parameters and result as of `add`."""
+    @property
+    def before(self) -> NormalEquations | None:
+        """What a window is to be solved for with, as `Solver.follow` does it; None: alone."""
+        return self._all.before
+
+    def adding(
+        self, equations: NormalEquations, noise: float, fused: Fused | None = None
+    ) -> Solving[CodeEstimate]:
+        """Add a window, and what came of it with `before`; other parameters and result as of `add`."""
         weighted = equations.weighted(noise)
         self._waiting.append(weighted)
+        if fused is not None:
+            return (yield from self._all.added(weighted, fused))
         return (yield from self._all.adding(weighted))
 
     def others(self) -> Iterator[tuple[CodeEstimate, int]]:

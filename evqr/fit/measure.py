@@ -1,23 +1,24 @@
-"""Codes whose poses are nearly known: from windows' events to poses and equations in one sequence.
+"""Codes whose poses are nearly known: from windows' events to poses, equations and modules in one sequence.
 
 This is what following codes costs, and the last step of finding them.  The device does all of it without the
 host, for all windows side by side: events to cells, cells to images, stage one at its finest level, and with
-the poses and gains that it ends with stage two's right-hand sides.
+the poses and gains that it ends with stage two's right-hand sides.  Where codes are followed these are added
+to what earlier windows say, and the sums solved; windows that agree too little are left out of that.
 """
 
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
 from evqr.config import ReadConfig
 from evqr.events.batch import EventBatch
-from evqr.fit.align import Align, Alignment, fine_levels, judged
+from evqr.fit.align import Align, Alignment, Beyond, fine_levels
 from evqr.fit.detection import NO_TIMINGS, Detection, Target
 from evqr.fit.image import Cells, Deposit, Sharpen, cells_for
-from evqr.fit.modules import Equations, NormalEquations
+from evqr.fit.modules import Equations, Fused, NormalEquations, Solution
 from evqr.fit.region import Region
 from evqr.fit.tables import Codes, ModuleTables, PoseTables
 from evqr.symbol.space import closed
@@ -34,10 +35,13 @@ class Measurements:
         Poses in cells of the regions, gains, scores and noises.
     equations : list of NormalEquations
         Of the modules, for these poses and gains.
+    fused : list of Fused or None
+        What they say with earlier windows; None where that was not asked, or they agree too little.
     """
 
     alignment: Alignment
     equations: list[NormalEquations]
+    fused: list[Fused | None]
 
     def detections(
         self,
@@ -61,6 +65,7 @@ class Measurements:
                 score=score,
                 noise=noise,
                 equations=self.equations[k],
+                fused=self.fused[k],
                 iterations=before[k] + steps,
                 timings_ms=timings_ms,
             )
@@ -69,27 +74,38 @@ class Measurements:
 
 
 class Measure(Step):
-    """The sequence for windows on regions of some size, from events, or from the cells there are."""
+    """The sequence for windows on regions of some size, from events, or from the cells there are.
+
+    ``beyond`` has the tables for codes with a single finder pattern where there are some; modules are solved
+    for where that is asked.
+    """
 
     def __init__(
-        self, events: EventRoom | None, cells: Cells, poses: PoseTables, modules: ModuleTables,
-        room: tuple[int, int], cfg: ReadConfig, workspace: Workspace,
+        self, events: EventRoom | None, cells: Cells, poses: PoseTables, beyond: PoseTables | None,
+        modules: ModuleTables, room: tuple[int, int], cfg: ReadConfig, workspace: Workspace, *, solved: bool,
     ) -> None:  # fmt: skip
         super().__init__(workspace)
         one, count, staging = cfg.align, cells.device.shape[0], self._staging
-        self._cfg, self._workspace = one, workspace
+        self._least_score = one.min_score
         self._deposit = None if events is None else Deposit(events, cells, workspace, staging)
         self.sharpen = Sharpen(cells, one.blur_cells, workspace, staging)
         self.images = self.sharpen.images
         self.align = Align(self.images, count, [poses], one.max_iterations, workspace, staging)
+        self._beyond = None
+        if beyond is not None:
+            self._beyond = Beyond(self.images, self.align, beyond, workspace, staging)
         self.equations = Equations(
             self.images, self.align, modules, room, one.sigma, cfg.modules, workspace, staging
         )
+        self._solution = None
+        if solved:
+            self._solution = Solution(count, modules, room, cfg.modules, workspace, self.equations, staging)
 
     def write(
-        self, batch: EventBatch, targets: Sequence[Target], regions: Sequence[Region], numbers: Sequence[int]
-    ) -> None:
-        """Say what is looked for and where the regions lie."""
+        self, batch: EventBatch, targets: Sequence[Target], regions: Sequence[Region], numbers: Sequence[int],
+        before: Sequence[NormalEquations | None],
+    ) -> None:  # fmt: skip
+        """Say what is looked for, where the regions lie, and what earlier windows say."""
         motions = [target.motion for target in targets]
         if self._deposit is not None:
             self._deposit.write(batch, motions, regions)
@@ -97,26 +113,36 @@ class Measure(Step):
         start = [
             region.in_cells(target.pose.tolist()) for target, region in zip(targets, regions, strict=True)
         ]
-        self._spaces = [target.space for target in targets]
+        self._spaces, self._before = [target.space for target in targets], before
         self.align.write(np.array(start), np.arange(len(targets), dtype=np.int32), numbers)
+        if self._beyond is not None:
+            self._beyond.write(self._spaces, numbers)
+        if self._solution is not None:
+            # of a single finder pattern the score alone does not tell
+            least = [-np.inf if space.single_pattern else self._least_score for space in self._spaces]
+            self._solution.write(before, numbers, least=least)
 
     def launch(self) -> None:
         """Launch the kernels one by one."""
-        for step in (self._deposit, self.sharpen, self.align, self.equations):
+        for step in (
+            self._deposit, self.sharpen, self.align, self._beyond, self.equations, self._solution
+        ):  # fmt: skip
             if step is not None:
                 step.launch()
 
     def read(self) -> Measurements:
         """Wait for the device and give what came out."""
-        (level,) = fine_levels(self._cfg)
         found, spaces = self.align.read(), self._spaces
-        # before anything else is aligned: the equations are of this
         equations = self.equations.read(found.gain, spaces)
-        alignment = judged(
-            self.images, found, spaces, level, self._cfg, workspace=self._workspace,
-            image_idx=np.arange(len(spaces), dtype=np.int32),
-        )  # fmt: skip
-        return Measurements(alignment, equations)
+        fused: list[Fused | None] = [None] * len(spaces)
+        if self._beyond is not None:
+            found = self._beyond.judged(found)
+        if self._solution is not None:
+            enough = (found.score >= self._least_score).tolist()
+            for k, each in enumerate(self._solution.fused(spaces)):
+                if enough[k] and self._before[k] is not None:
+                    fused[k] = each
+        return Measurements(found, equations, fused)
 
 
 def measuring(
@@ -126,6 +152,7 @@ def measuring(
     cfg: ReadConfig,
     *,
     workspace: Workspace,
+    before: Sequence[NormalEquations | None] = (),
 ) -> Measure:
     """Make ready to measure a code in each of some windows: over the last measurement on as large regions.
 
@@ -141,6 +168,9 @@ def measuring(
         Settings.
     workspace : Workspace
         Buffers.
+    before : sequence of NormalEquations or None
+        What earlier windows say of each code, in units of their noise, with which it is solved for; None:
+        that is not asked.  Default: of none.
 
     Returns
     -------
@@ -153,13 +183,20 @@ def measuring(
     codes, (level,) = Codes.of(workspace), fine_levels(cfg.align)
     numbers = [codes.number(space) for space in spaces]
     poses, modules = codes.poses(level, cfg.align, numbers), codes.modules(cfg.modules, numbers)
-    room = codes.room(numbers)
-    what = "measure", from_events and events.capacity, room, poses.version, modules.version
+    beyond, single = None, [k for k, space in enumerate(spaces) if space.single_pattern]
+    if single:
+        level = replace(level, beyond_patterns=True)
+        beyond = codes.poses(level, cfg.align, [numbers[k] for k in single])
+    room, solved = codes.room(numbers), any(each is not None for each in before)
+    tables = poses.version, beyond and beyond.version, modules.version
     step = cells.once(
-        (*what, cfg.align, cfg.modules),
-        lambda: Measure(events if from_events else None, cells, poses, modules, room, cfg, workspace),
-    )
-    step.write(batch, targets, regions, numbers)
+        ("measure", from_events and events.capacity, room, *tables, solved, cfg.align, cfg.modules),
+        lambda: Measure(
+            events if from_events else None, cells, poses, beyond, modules, room, cfg, workspace,
+            solved=solved,
+        ),
+    )  # fmt: skip
+    step.write(batch, targets, regions, numbers, before or [None] * len(spaces))
     return step
 
 
@@ -170,8 +207,9 @@ def measure(
     cfg: ReadConfig,
     *,
     workspace: Workspace,
+    before: Sequence[NormalEquations | None] = (),
 ) -> Measurements:
     """Refine the poses of codes in windows and build their equations; parameters as of `measuring`."""
-    step = measuring(batch, targets, regions, cfg, workspace=workspace)
+    step = measuring(batch, targets, regions, cfg, workspace=workspace, before=before)
     step.run()
     return step.read()

@@ -14,8 +14,9 @@ clear.
 from __future__ import annotations
 
 import functools
-from collections.abc import Sequence
-from dataclasses import dataclass
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, field
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -48,15 +49,36 @@ class NormalEquations(Value):
     ----------
     space : CodeSpace
         Whose modules they are.
-    stencil : (2 REACH + 1, 2 REACH + 1) float64
+    stencil : (2 REACH + 1, 2 REACH + 1) float
         A^T A.
-    rhs : (V + 2 quiet, U + 2 quiet) float64
+    rhs : (V + 2 quiet, U + 2 quiet) float
         A^T e; ``quiet`` are the modules of quiet zone on each side, `evqr.fit.model.quiet_modules`.
     """
 
     space: CodeSpace
-    stencil: NDArray[np.float64]
-    rhs: NDArray[np.float64]
+    stencil: NDArray[np.floating]
+    rhs: NDArray[np.floating]
+
+    @classmethod
+    def nothing(cls, space: CodeSpace) -> NormalEquations:
+        """Give what no window knows.
+
+        Parameters
+        ----------
+        space : CodeSpace
+            Of the code.
+
+        Returns
+        -------
+        equations : NormalEquations
+            All of them 0.
+        """
+        return _nothing(space)
+
+    @property
+    def is_nothing(self) -> bool:
+        """Whether nothing was seen: A^T A, and with it A^T e, is 0."""
+        return self.stencil.item(self.stencil.size // 2) == 0.0
 
     def __post_init__(self) -> None:
         # not copied: they are nobody else's
@@ -97,6 +119,13 @@ class NormalEquations(Value):
         return NormalEquations(self.space, weight * self.stencil, weight * self.rhs)
 
 
+@functools.cache
+def _nothing(space: CodeSpace) -> NormalEquations:
+    around = 2 * quiet_modules(space)
+    rhs = np.zeros((space.rows + around, space.columns + around), np.float32)
+    return NormalEquations(space, np.zeros((2 * REACH + 1, 2 * REACH + 1), np.float32), rhs)
+
+
 @dataclass(frozen=True, eq=False)
 class CodeEstimate(Value):
     """Modules of one solve.
@@ -111,6 +140,22 @@ class CodeEstimate(Value):
 
     q: NDArray[np.float32]
     iterations: int
+
+
+@dataclass(frozen=True, eq=False)
+class Fused(Value):
+    """What windows of a code say together.
+
+    Attributes
+    ----------
+    equations : NormalEquations
+        Their sum, in units of their noise.
+    estimate : CodeEstimate
+        The modules that solve it.
+    """
+
+    equations: NormalEquations = field(repr=False)
+    estimate: CodeEstimate
 
 
 @functools.lru_cache(maxsize=32)
@@ -141,6 +186,7 @@ class Equations(Step):
         b, slope, bb, ss, bs = _profile_tables(sigma, cfg.samples)
         mixed = np.outer(bs, bs[::-1])
         self._products = np.outer(bb, ss), np.outer(ss, bb), mixed + mixed.T
+        self._products_there = workspace.put(np.array(self._products, np.float32))
         self._profile, self._slope = (workspace.put(f.astype(np.float32)) for f in (b, slope))
         self._samples = cfg.samples
         self._scratch = workspace.scratch(
@@ -162,86 +208,154 @@ class Equations(Step):
         across, down, mixed = self._products
         a_u, a_v = gain[:, 0, None, None], gain[:, 1, None, None]
         stencil = a_u * a_u * across + a_v * a_v * down + a_u * a_v * mixed
-        stencil, rhs, found = closed(stencil), self._rhs.read(), []
-        for k, space in enumerate(spaces):
-            around = 2 * quiet_modules(space)
-            seen = closed(rhs[k, : space.rows + around, : space.columns + around].astype(np.float64))
-            found.append(NormalEquations.trusted(space=space, stencil=stencil[k], rhs=seen))
-        return found
+        return _equations(spaces, closed(stencil), closed(self._rhs.read()[: len(spaces)].copy()))
+
+    def windows(self) -> Windows:
+        """Give what the windows say, on the device."""
+        poses = self._poses
+        return Windows(
+            self._rhs.device, poses.gain, poses.noise, poses.score, poses.number, self._products_there
+        )
+
+
+def _equations(
+    spaces: Sequence[CodeSpace], stencil: NDArray[Any], rhs: NDArray[Any]
+) -> list[NormalEquations]:
+    """Give each code's, from arrays in which there is room for any of them."""
+    found = []
+    for k, space in enumerate(spaces):
+        around = 2 * quiet_modules(space)
+        own = rhs[k, : space.rows + around, : space.columns + around]
+        found.append(NormalEquations.trusted(space=space, stencil=stencil[k], rhs=own))
+    return found
+
+
+class Windows(NamedTuple):
+    """What windows of codes say, on the device.
+
+    Attributes
+    ----------
+    rhs : (N, V, U) float32
+        Right-hand sides of their equations.
+    gain : (N, 2) float32
+        On which their matrices depend.
+    noise, score : (N,) float32
+        Variance of a sample, and how well they agree.
+    number : (N,) int32
+        Numbers of their codes.
+    products : (3, 2 REACH + 1, 2 REACH + 1) float32
+        What their matrices are made of, as `sum_equations` takes it.
+    """
+
+    rhs: Any
+    gain: Any
+    noise: Any
+    score: Any
+    number: Any
+    products: Any
 
 
 class Solution(Step):
-    """Modules of N codes, in passes, of which each pulls them to what the one before says.
+    """Modules of N codes from what earlier windows say of them, and what new ones add to that.
 
-    A code of which nearly all modules are clear is left as it is by the passes that are left.
+    Equations are summed, and solved in passes, of which each pulls modules to what the one before says.  A
+    code of which nearly all modules are clear is left as it is by the passes that are left.
     """
 
     def __init__(
-        self,
-        count: int,
-        tables: ModuleTables,
-        room: tuple[int, int],
-        cfg: ModulesConfig,
-        workspace: Workspace,
-    ) -> None:
-        super().__init__(workspace)
+        self, count: int, tables: ModuleTables, room: tuple[int, int], cfg: ModulesConfig,
+        workspace: Workspace, added: Equations | None = None, staging: Staging | None = None,
+    ) -> None:  # fmt: skip
+        super().__init__(workspace, staging)
         reach, staging = 2 * REACH + 1, self._staging
         self._cfg, self._tables = cfg, tables
-        self._numbers: list[int] = [0] * count
-        self._number = staging.input((count,), np.int32)
-        self._seen, self._q = staging.input((count, *room)), staging.both((count, *room))
-        self._stencil, self._damping = staging.input((count, reach, reach)), staging.input((count,))
+        self._number = None if added else staging.input((count,), np.int32)
+        self._windows = added.windows if added else _no_windows(count, room, workspace)
+        self._least = staging.input((count,))
+        self._before = staging.input((count, *room)), staging.input((count, reach, reach))
+        self._filled: list[tuple[int, int]] = [(0, 0)] * count  # rows and columns that were written
         self._scratch = workspace.scratch("solve_code", B=count, V=room[0], U=room[1])
-        self._rhs = workspace.empty(count, *room)
-        self._iterations = [staging.output((count,), np.int32) for _ in range(cfg.passes)]
+        self._sum = staging.output((count, *room)), staging.output((count, reach, reach))
+        self._pulled, self._damping = workspace.empty(count, *room), workspace.empty(count)
+        self._solved = workspace.empty(count, dtype=np.int32)
         self._unclear = workspace.empty(count, room[0], dtype=np.int32)
+        self._q = staging.output((count, *room))
+        self._iterations = [staging.output((count,), np.int32) for _ in range(cfg.passes)]
 
     def write(
-        self, equations: Sequence[NormalEquations], numbers: Sequence[int], weights: Sequence[float]
+        self,
+        before: Sequence[NormalEquations | None],
+        numbers: Sequence[int],
+        weights: Sequence[float] | None = None,
+        least: Sequence[float] | None = None,
     ) -> None:
-        """Say what was seen, of which codes, and how much it counts against what is known before."""
-        least, most = self._cfg.damping_range
-        seen, q, stencil, damping = (m.host for m in (self._seen, self._q, self._stencil, self._damping))
-        numbers = [*numbers, *[0] * (len(self._numbers) - len(numbers))]
-        for k, number in enumerate(numbers):
-            if number != self._numbers[k]:
-                seen[k] = q[k] = 0.0
-        start = self._tables.start
-        for k, (each, weight) in enumerate(zip(equations, weights, strict=True)):
-            # one overall scale: float32 on the device, and many windows add up
-            peak = float(each.stencil[REACH, REACH]) or 1.0
-            rows, columns = each.rhs.shape
-            seen[k, :rows, :columns] = each.rhs * (1.0 / peak)
-            stencil[k] = each.stencil * (1.0 / peak)
-            damping[k] = min(max(self._cfg.damping / (weight * peak), least), most)
-            q[k, :rows, :columns] = start[numbers[k]]
-        self._numbers = numbers
-        self._number.write(numbers)
+        """Say what was seen of which codes; how much that counts, and from which score on they are solved.
+
+        Those of which nothing is said, not even that nothing was seen, are not solved for.
+        """
+        if self._number is not None:
+            self._number.fill(numbers)
+        rhs, stencil = (mirror.host for mirror in self._before)
+        scores = np.full(len(self._filled), np.inf)
+        for k, each in enumerate(before):
+            scores[k] = np.inf if each is None else 0.0 if least is None else least[k]
+            size = (0, 0) if each is None or each.is_nothing else each.rhs.shape
+            if size != self._filled[k]:
+                rhs[k] = stencil[k] = 0.0
+                self._filled[k] = size
+            if each is not None and size[0]:
+                weight = weights[k] if weights else 1.0
+                np.multiply(each.rhs, weight, out=rhs[k, : size[0], : size[1]], casting="same_kind")
+                np.multiply(each.stencil, weight, out=stencil[k], casting="same_kind")
+        self._least.write(scores)
 
     def launch(self) -> None:
         """Launch the kernels one by one: modules are pulled to what they start from, free ones to grey."""
-        cfg, tables, number = self._cfg, self._tables, self._number.device
+        cfg, tables, seen = self._cfg, self._tables, self._windows()
+        number = seen.number if self._number is None else self._number.device
+        rhs, stencil = (mirror.device for mirror in self._sum)
+        self._backend.sum_equations(
+            seen.rhs, seen.gain, seen.noise, seen.products, *(mirror.device for mirror in self._before),
+            seen.score, self._least.device, number, tables["start"], cfg.damping, *cfg.damping_range, rhs,
+            stencil, self._damping, self._q.device, self._solved,
+        )  # fmt: skip
         for iterations in self._iterations:
             self._backend.pull_modules(
-                self._seen.device, self._q.device, self._damping.device, cfg.certainty, self._rhs,
-                self._unclear,
-            )  # fmt: skip
+                rhs, self._q.device, self._damping, cfg.certainty, self._pulled, self._unclear
+            )
             self._backend.solve_code(
-                self._rhs, self._stencil.device, self._damping.device, number, tables["free"],
-                tables["bounds"], self._unclear, tables["enough"], cfg.max_iterations, cfg.tolerance,
-                *self._scratch, self._q.device, iterations.device,
+                self._pulled, stencil, self._damping, self._solved, tables["free"], tables["bounds"],
+                self._unclear, tables["enough"], cfg.max_iterations, cfg.tolerance, *self._scratch,
+                self._q.device, iterations.device,
             )  # fmt: skip
 
     def read(self, spaces: Sequence[CodeSpace]) -> list[CodeEstimate]:
         """Wait for the device and give the modules of each code."""
-        q = self._q.read()[: len(spaces)] + np.float32(1.0)
+        q = closed(self._q.read()[: len(spaces)] + np.float32(1.0))
         iterations = functools.reduce(np.add, [mirror.read() for mirror in self._iterations]).tolist()
         found = []
         for k, space in enumerate(spaces):
             quiet = quiet_modules(space)
-            inner = q[k, quiet : quiet + space.rows, quiet : quiet + space.columns].copy()
-            found.append(CodeEstimate.trusted(q=closed(inner), iterations=iterations[k]))
+            inner = q[k, quiet : quiet + space.rows, quiet : quiet + space.columns]
+            found.append(CodeEstimate.trusted(q=inner, iterations=iterations[k]))
         return found
+
+    def fused(self, spaces: Sequence[CodeSpace]) -> list[Fused]:
+        """Wait for the device and give the sums, too."""
+        rhs, stencil = (closed(mirror.read()[: len(spaces)].copy()) for mirror in self._sum)
+        return [
+            Fused.trusted(equations=equations, estimate=estimate)
+            for equations, estimate in zip(_equations(spaces, stencil, rhs), self.read(spaces), strict=True)
+        ]
+
+
+def _no_windows(count: int, room: tuple[int, int], workspace: Workspace) -> Callable[[], Windows]:
+    """Make what adds nothing to sums, and agrees with anything."""
+    nothing, one = np.zeros((count, *room), np.float32), np.ones(count, np.float32)
+    products = np.zeros((3, 2 * REACH + 1, 2 * REACH + 1), np.float32)
+    arrays = nothing, np.zeros((count, 2), np.float32), one, one, np.zeros(count, np.int32), products
+    windows = Windows(*map(workspace.put, arrays))
+    return lambda: windows
 
 
 def solve_modules(
@@ -278,6 +392,6 @@ def solve_modules(
         ("solution", cfg, count, room, tables.version),
         lambda: Solution(count, tables, room, cfg, workspace),
     )
-    step.write(equations, numbers, weights or [1.0] * len(equations))
+    step.write(equations, numbers, weights)
     step.run()
     return step.read(spaces)

@@ -220,7 +220,6 @@ class ModuleTables(Tables):
 
     def __init__(self, cfg: ModulesConfig, workspace: Workspace) -> None:
         self._samples, self._share = cfg.samples, cfg.unclear
-        self.start: dict[int, NDArray[np.float32]] = {}
         super().__init__(workspace, {"M": ROOM["M"], "side": ROOM["side"]})
 
     def _shapes(self) -> dict[str, tuple[tuple[int, ...], type]]:
@@ -230,6 +229,7 @@ class ModuleTables(Tables):
             "lattice_v": ((codes, side * self._samples), np.float32),
             "sides": ((codes, 2), np.int32),
             "free": ((codes, side, side), np.int32),
+            "start": ((codes, side, side), np.float32),
             "bounds": ((codes, 4), np.int32),
             "enough": ((codes,), np.int32),
         }
@@ -247,7 +247,7 @@ class ModuleTables(Tables):
         host["free"][number, :rows, :columns] = free
         host["bounds"][number] = quiet, rows - quiet, quiet, columns - quiet
         host["enough"][number] = int(self._share * space.known.size)
-        self.start[number] = start
+        host["start"][number, :rows, :columns] = start
 
 
 @functools.cache

@@ -12,7 +12,7 @@ from evqr.clock import StageClock
 from evqr.events.window import Window
 from evqr.fit.detection import Detection, NotFound
 from evqr.fit.fusion import Fusion, Solving
-from evqr.fit.modules import CodeEstimate
+from evqr.fit.modules import CodeEstimate, NormalEquations
 from evqr.geometry import bounds, module_px
 from evqr.motion import Motion
 from evqr.results import CodeReading
@@ -172,7 +172,7 @@ class Track:
         if not _in_view(self.detection, window):
             self._misses += 1
             return
-        (found,) = yield [Follow(window, self.detection)]
+        (found,) = yield [Follow(window, self.detection, self._before)]
         self._clock.add(found.timings_ms)
         if isinstance(found, NotFound):
             self._misses += 1
@@ -189,6 +189,13 @@ class Track:
             yield from self._find_again(window)
 
     @property
+    def _before(self) -> NormalEquations | None:
+        """What earlier windows say, for as long as it is not read."""
+        if self.reading is not None:
+            return None
+        return self._fusion.before or NormalEquations.nothing(self.detection.space)
+
+    @property
     def _due(self) -> tuple[int, ...]:
         """Windows after which it is searched for again."""
         return self._cfg.good_found_again if self._agrees_well else self._cfg.found_again
@@ -201,7 +208,8 @@ class Track:
 
     def _decode(self) -> Working[None]:
         """Add the newest window, and decode the sum of all; else what agrees with it, and it alone."""
-        adding = self._fusion.adding(self.detection.equations, self.detection.noise)
+        found = self.detection
+        adding = self._fusion.adding(found.equations, found.noise, found.fused)
         estimate = yield from self._solved(adding)
         self.windows = self._fusion.windows
         alone = self.windows == 1

@@ -95,6 +95,11 @@ def _odd_stencil(arrays: Arrays, sizes: Sizes) -> None:
         raise ValueError(f"stencil must have an odd side, got {tuple(arrays['stencil'].shape)}")
 
 
+def _odd_products(arrays: Arrays, sizes: Sizes) -> None:
+    if sizes["K"] % 2 == 0:
+        raise ValueError(f"products must have odd sides, got {tuple(arrays['products'].shape)}")
+
+
 def _finite(arrays: Arrays, sizes: Sizes) -> None:
     if sizes["certainty"] == np.inf:  # times zero, of modules that lean nowhere
         raise ValueError("certainty must be finite, got inf")
@@ -215,6 +220,31 @@ OPERATIONS = (
         file="code_normal",
         arguments=(floats("q", "B", "V", "U"), *SYSTEM, overwritten("product_out", "B", "V", "U")),
         check=_odd_stencil,
+    ),
+    Operation(
+        name="sum_equations",
+        file="equations",
+        arguments=(
+            floats("rhs", "B", "V", "U"),
+            floats("gain", "B", 2),
+            floats("noise", "B"),
+            floats("products", 3, "K", "K"),
+            floats("rhs_before", "B", "V", "U"),
+            floats("stencil_before", "B", "K", "K"),
+            floats("score", "B", default=1),
+            floats("least", "B", default=0),
+            ints("space_idx", "B", index="M", default=0),
+            floats("known", "M", "V", "U", single=True),
+            setting("damping", 0.0),
+            setting("least_damping", 0.0),
+            setting("most_damping", 0.0),
+            overwritten("rhs_out", "B", "V", "U"),
+            overwritten("stencil_out", "B", "K", "K"),
+            overwritten("damping_out", "B"),
+            overwritten("q_out", "B", "V", "U"),
+            overwritten("solved_idx_out", "B", integer=True),
+        ),
+        check=_odd_products,
     ),
     Operation(
         name="pull_modules",

@@ -15,6 +15,7 @@ __all__ = [
     "sample_moments_adjoint",
     "score_poses",
     "solve_code",
+    "sum_equations",
 ]
 
 
@@ -294,6 +295,79 @@ def code_rhs(
     -----
     Cost: T S projections and looks at four pixels, and 2 V P (S + U) multiply-adds a window, in two passes;
     scratch of (B, T, S) and (B, 2, V, S), a few modules wider.
+
+    Determinism: bit for bit.
+    """
+    ...
+
+
+@checked
+def sum_equations(
+    rhs: Floats, gain: Floats, noise: Floats, products: Floats, rhs_before: Floats, stencil_before: Floats,
+    known: Floats, *, damping: float, least_damping: float, most_damping: float,
+    score: Floats | None = None, least: Floats | None = None, space_idx: Ints | None = None,
+    backend: str = "auto", device: str | None = None,
+) -> tuple[Floats, Floats, Floats, Floats, Ints]:  # fmt: skip
+    """Add windows' equations to those of earlier windows, by their noise, and make ready to solve the sums.
+
+    Parameters
+    ----------
+    rhs : (B, V, U) float [weight^2]
+        ``A^T E`` of each window: see `code_rhs`.
+    gain : (B, 2) float [weight modules]
+        Motion in modules times contrast, along u and v, on which a window's ``A^T A`` depends.
+    noise : (B,) float [weight^2]
+        Variance of a sample: a window counts by one over it.
+    products : (3, K, K) float [1 / modules^2]
+        K odd; ``A^T A`` as a stencil for a gain of 1 along u, of 1 along v, and what both add to that.
+    rhs_before : (B, V, U) float [1]
+        Sum of earlier windows, in units of their noise.
+    stencil_before : (B, K, K) float [1]
+        Sum of their stencils.
+    known : (M, V, U) or (V, U) float [1]
+        Distance of modules from light, of M codes, or of one, to begin a solution with.
+    damping : float [1]
+        Of the sums, in units of the noise.
+    least_damping, most_damping : float [1]
+        It is no less and no more than this share of the middle of the summed stencil.
+    score : (B,) float [1]
+        How well each window agrees; by default 1.
+    least : (B,) float [1]
+        A window that agrees less well than this is not solved for; by default 0.
+    space_idx : (B,) int32
+        Which of the codes each window shows; by default the first.
+    backend, device : str
+        See `evqr_kernels.ops`.
+
+    Returns
+    -------
+    rhs : (B, V, U) float [1]
+        ``rhs_before + rhs / noise``.
+    stencil : (B, K, K) float [1]
+        ``stencil_before + (gain_u^2 products_0 + gain_v^2 products_1 + gain_u gain_v products_2) / noise``.
+    damping : (B,) float [1]
+        For `pull_modules` and `solve_code`.
+    q : (B, V, U) float [1]
+        ``known`` of each window's code.
+    solved_idx : (B,) int32
+        ``space_idx``; 0 of windows that are not solved for, as no code has number 0 where others share a
+        call.
+
+    Raises
+    ------
+    ValueError
+        If K is even, an entry of ``space_idx`` is not 0 to M - 1, or ``damping``, ``least_damping`` or
+        ``most_damping`` is less than 0.
+
+    See Also
+    --------
+    code_rhs, pull_modules, solve_code
+
+    Notes
+    -----
+    A noise below 1e-12 counts as 1e-12.
+
+    Cost: two operations a module, by one thread a row of modules; no scratch.
 
     Determinism: bit for bit.
     """

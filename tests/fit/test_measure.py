@@ -11,10 +11,9 @@ from evqr.fit.align import align, fine_levels
 from evqr.fit.detection import Target
 from evqr.fit.image import cells_for
 from evqr.fit.measure import Measure, measure
-from evqr.fit.model import profiles
-from evqr.fit.modules import SUPPORT, Solution
+from evqr.fit.modules import NormalEquations
 from evqr.fit.region import region_around
-from evqr.fit.tables import REACH, Codes, room_for
+from evqr.fit.tables import Codes, room_for
 from evqr.symbol import qr
 from evqr.symbol.decode import decode_grid
 from evqr.symbol.decoded import Decoded
@@ -22,7 +21,6 @@ from evqr.symbol.decoded import Decoded
 CONFIG = ReadConfig()
 SPACE = qr.space(2)
 LAG_PX = (0.4, 0.7)
-DAMPING = 0.1
 
 
 def known(made, time):
@@ -40,34 +38,6 @@ def known(made, time):
 @pytest.fixture(scope="module")
 def made():
     return scene(preset="fast")
-
-
-def solving(step, equations, workspace):
-    """The solution of the equations that ``step`` leaves, and the launches for it, A^T A included.
-
-    ``equations`` of an earlier window say how strong the damping is.
-    """
-    cfg, samples, one = CONFIG.modules, CONFIG.modules.samples, CONFIG.align
-    codes, room = Codes.of(workspace), room_for([SPACE])
-    number = codes.number(SPACE)
-    tables = codes.modules(cfg, [number])
-    solution = Solution(1, tables, room, cfg, workspace)
-    solution.write([equations], [number], [1.0])
-    solution._damping.write(DAMPING * equations.stencil[REACH, REACH])
-    profile, slope, _ = profiles((np.arange(SUPPORT * samples) + 0.5) / samples - SUPPORT // 2, one.sigma)
-    profile, slope = (workspace.put(f.astype(np.float32)) for f in (profile, slope))
-    sizes = {"S": room[1] * samples, "T": room[0] * samples, "P": SUPPORT * samples}
-    scratch = workspace.scratch("code_normal_equations", B=1, samples_a_module=samples, **sizes)
-
-    def launch():
-        workspace.backend.code_normal_equations(
-            step.images.device, step.align.pose, step.align.number, tables["lattice_u"], tables["lattice_v"],
-            tables["sides"], profile, slope, step.align.gain, samples, *scratch, solution._stencil.device,
-            solution._seen.device,
-        )  # fmt: skip
-        solution.launch()
-
-    return solution, launch
 
 
 def assert_same(measured, found, equations):
@@ -101,30 +71,27 @@ def test_whole_windows_run_as_one_captured_graph(made, workspace):
 
     time = middle_us(made)
     window, target, region = known(made, time)
-    first = measure(EventBatch.of([window]), [target], [region], CONFIG, workspace=workspace)
-    batch = EventBatch.of([window])
+    batch, nothing = EventBatch.of([window]), [NormalEquations.nothing(SPACE)]
     events, cells = workspace.events(batch), cells_for([region], workspace=workspace)
     codes, (level,) = Codes.of(workspace), fine_levels(CONFIG.align)
     number, room = codes.number(SPACE), room_for([SPACE])
     poses, modules = codes.poses(level, CONFIG.align, [number]), codes.modules(CONFIG.modules, [number])
-    step = Measure(events, cells, poses, modules, room, CONFIG, workspace)
-    step.write(batch, [target], [region], [number])
-    solution, solve = solving(step, first.equations[0], workspace)
-    solve()  # loads what nothing else has used
+    step = Measure(events, cells, poses, None, modules, room, CONFIG, workspace, solved=True)
+    step.write(batch, [target], [region], [number], nothing)
+    step.launch()  # loads what nothing else has used
     with wp.ScopedCapture(device=workspace.device) as capture:
         step.launch()
-        solve()
     for moment in (time, time + 400.0):
         window, target, region = known(made, moment)
         batch = EventBatch.of([window])
         assert cells_for([region], workspace=workspace) is cells and workspace.events(batch) is events
-        step.write(batch, [target], [region], [number])
-        start = modules.start[number]
-        solution._q.host[0, : len(start), : start.shape[1]] = start
+        step.write(batch, [target], [region], [number], nothing)
         wp.capture_launch(capture.graph)
         found = step.read()
         again = measure(EventBatch.of([window]), [target], [region], CONFIG, workspace=workspace)
         assert_same(again, found.alignment, found.equations[0])
-        outcome = decode_grid(solution.read([SPACE])[0].q, SPACE)
+        (fused,) = found.fused
+        assert fused is not None
+        outcome = decode_grid(fused.estimate.q, SPACE)
         assert isinstance(outcome, Decoded)
         assert outcome.text == made.scene.codes[0].text

@@ -394,6 +394,22 @@ def code_product_tall(rng, dtype):
     return code_product(rng, dtype, TALL)
 
 
+def sum_equations(rng, dtype, shape=WIDE):
+    """Windows of two codes: one without noise, one that agrees too little, one with little to see."""
+    rhs, before = rng.normal(size=(2, B, *shape)).astype(dtype)
+    gain, noise = rng.normal(size=(B, 2)), np.array([0.4, 0.0, 2.0])
+    gain[1:] *= [[1e-5], [0.1]]
+    products, stencils = rng.normal(size=(2, 3, 5, 5)).astype(dtype)
+    idx, score = np.arange(B, dtype=np.int32) % 2 + 1, np.array([0.5, 0.8, 0.9], dtype)
+    known = rng.normal(size=(3, *shape)).astype(dtype)
+    sums = [rhs, gain.astype(dtype), noise.astype(dtype), products, before, np.abs(stencils)]
+    return call("sum_equations", [*sums, score, dtype(0.8).repeat(B), idx, known, 0.3, 0.5, 2.0])
+
+
+def sum_equations_tall(rng, dtype):
+    return sum_equations(rng, dtype, TALL)
+
+
 def pull_modules(rng, dtype, shape=WIDE):
     seen, q = rng.normal(size=(2, B, *shape)).astype(dtype)
     return call("pull_modules", [seen, q - dtype(1.0), np.linspace(0.1, 0.5, B).astype(dtype), 2.0])
@@ -543,6 +559,8 @@ CALLS = [
     code_normal_equations_tall,
     code_product,
     code_product_tall,
+    sum_equations,
+    sum_equations_tall,
     pull_modules,
     pull_modules_tall,
     render_code,

@@ -96,6 +96,10 @@ GOOD = {
         {"samples_a_module": 2},
     ),
     "code_product": ([f32(B, 3, 7) + 1, f32(B, 5, 5), f32(B) + 1, np.ones((3, 7), np.int32)], {}),
+    "sum_equations": (
+        [f32(B, 3, 7), f32(B, 2), f32(B) + 1, f32(3, 5, 5), f32(B, 3, 7), f32(B, 5, 5) + 1, f32(3, 7) + 1],
+        {"damping": 0.3, "least_damping": 0.1, "most_damping": 2.0},
+    ),
     "pull_modules": ([f32(B, 3, 7), f32(B, 3, 7), f32(B) + 1], {"certainty": 2.0}),
     "solve_code_banded": (
         [f32(B, 3, 7) + 1, f32(B, 5, 5), f32(B) + 1, np.ones((3, 7), np.int32), f32(B, 3, 7)],
@@ -466,6 +470,8 @@ BAD = [
     ),
     ("code_normal_equations", {"reach": -1}, ValueError, "reach must be at least 0, got -1"),
     ("code_product", {"arg1": f32(B, 4, 4)}, ValueError, "stencil must have an odd side, got (2, 4, 4)"),
+    ("sum_equations", {"arg3": f32(3, 4, 4)}, ValueError, "products must have odd sides, got (3, 4, 4)"),
+    ("sum_equations", {"damping": -1.0}, ValueError, "damping must be at least 0.0, got -1.0"),
     ("pull_modules", {"certainty": -1.0}, ValueError, "certainty must be at least 0.0, got -1.0"),
     ("pull_modules", {"certainty": np.inf}, ValueError, "certainty must be finite, got inf"),
     ("solve_code_banded", {"arg1": f32(B, 2, 2)}, ValueError, "stencil must have an odd side, got (2, 2, 2)"),

@@ -14,7 +14,7 @@ from evqr.events.batch import EventBatch
 from evqr.events.window import make_window
 from evqr.fit.detection import NO_LAG, Detection, NotFound, Target
 from evqr.fit.measure import measure
-from evqr.fit.modules import CodeEstimate
+from evqr.fit.modules import CodeEstimate, NormalEquations
 from evqr.fit.refine import complete, refine
 from evqr.fit.region import region_around
 from evqr.motion import Motion
@@ -110,6 +110,37 @@ def test_following_side_by_side_is_following_alone(name, count, windows, solvers
     for one, other in zip(solved, expected, strict=True):
         np.testing.assert_array_equal(one.q, other.q)
         assert one.iterations == other.iterations
+
+
+@pytest.mark.parametrize(("name", "count"), SEVERAL)
+def test_sums_with_earlier_windows_side_by_side_are_those_alone(name, count, windows, solvers):
+    """Of first windows, of later ones, and of some that are not asked for; none of what agrees too little."""
+    solver = solvers(name)
+    known = detections(windows, solver)
+    nothing = [NormalEquations.nothing(target.space) for _, target in windows]
+    before = [
+        (None, each, code.weighted)[k % 3] for k, (code, each) in enumerate(zip(known, nothing, strict=True))
+    ]
+    alone = [
+        solver.follow(EventBatch.of([window]), [code], [said])[0]
+        for (window, _), code, said in zip(windows, known, before, strict=True)
+    ]
+    places = many(count, len(windows))
+    batch = EventBatch.of([windows[k][0] for k in places])
+    together = solver.follow(batch, [known[k] for k in places], [before[k] for k in places])
+    assert together == [alone[k] for k in places]
+    for found, said in zip(alone, before, strict=True):
+        if isinstance(found, Detection):
+            assert (found.fused is None) == (said is None)
+    asked = [k for k, found in enumerate(alone) if isinstance(found, Detection) and found.fused]
+    assert len(asked) > len(CODES) // 2
+    for k in asked:
+        found, said = alone[k], before[k]
+        on_the_host = said + found.weighted
+        np.testing.assert_allclose(found.fused.equations.rhs, on_the_host.rhs, rtol=1e-4, atol=1e-3)
+        np.testing.assert_allclose(found.fused.equations.stencil, on_the_host.stencil, rtol=1e-4, atol=1e-3)
+        (estimate,) = solver.solve([on_the_host])
+        np.testing.assert_allclose(found.fused.estimate.q, estimate.q, atol=0.02)
 
 
 @pytest.mark.parametrize("count", [2, 3, 5])
