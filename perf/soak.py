@@ -109,7 +109,7 @@ class Line:
     ----------
     t_us : int [us]
         When the next part comes.
-    told, wrong : Counter
+    given, wrong : Counter
         Parts, NO READs, gaps and resets of the clock so far; and what is not as it is to be.
     """
 
@@ -118,7 +118,7 @@ class Line:
         self.reader = Reader((WIDTH, HEIGHT), triggers=TriggerConfig(longest_us=PASS_US + 2_000))
         self.ahead_us = EACH_US * min(count // 40, 100) - QUIET_US // 2
         self.t_us = (1 << 31) - self.ahead_us
-        self.told = Counter(parts=0, no_reads=0, gaps=0, resets=0)
+        self.given = Counter(parts=0, no_reads=0, gaps=0, resets=0)
         self.wrong = Counter(twice=0, text=0, never=0, hole=0, untold=0)
         self._expected: dict[int, tuple[str, ...]] = {}
         self._troubles: Counter[str] = Counter()
@@ -128,15 +128,15 @@ class Line:
         for record in records:
             self.wrong["hole"] += record.sequence != self._number
             self._number += 1
-            self.told["gaps"] += isinstance(record, GapRecord)
-            self.told["resets"] += isinstance(record, ClockRecord)
+            self.given["gaps"] += isinstance(record, GapRecord)
+            self.given["resets"] += isinstance(record, ClockRecord)
             if isinstance(record, PartRecord):
                 assert record.trigger is not None
                 texts = self._expected.pop(record.trigger, None)
                 self.wrong["twice"] += texts is None
                 self.wrong["text"] += texts is not None and texts != record.texts
-                self.told["parts"] += 1
-                self.told["no_reads"] += not record.texts
+                self.given["parts"] += 1
+                self.given["no_reads"] += not record.texts
 
     def pass_by(self, part: int, trouble: str = "") -> None:
         """Let a part pass, and something go wrong with the source before it."""
@@ -161,7 +161,7 @@ class Line:
     def close(self) -> None:
         self.take(self.reader.close())
         self.wrong["never"] = len(self._expected)
-        self.wrong["untold"] = sum(abs(self.told[kind] - self._troubles[kind]) for kind in ("gaps", "resets"))
+        self.wrong["untold"] = sum(abs(self.given[kind] - self._troubles[kind]) for kind in ("gaps", "resets"))
 
     # ---- what goes wrong
 
@@ -200,7 +200,7 @@ def soak(
     rows: list[dict[str, float]] = []
 
     def mark() -> None:
-        rows.append({**line.told, "event_time_us": line.t_us, **state()})
+        rows.append({**line.given, "event_time_us": line.t_us, **state()})
         say(rows[-1])
 
     for part in range(count):
