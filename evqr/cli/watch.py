@@ -141,10 +141,12 @@ def watch(
     options.prepare(backend, device)
     read = False
     try:
-        with opened_source(source, speed=speed, **opening) as opened, _stopped_by_sigterm(opened) as stopped:
-            for record in feed(
-                opened, make, triggers, in_stream=trigger == IN_STREAM, seen=_tell_interruption(source)
-            ):
+        in_stream = trigger == IN_STREAM
+        with (
+            opened_source(source, speed=speed, in_stream=in_stream, **opening) as opened,
+            _stopped_by_sigterm(opened) as stopped,
+        ):
+            for record in feed(opened, make, triggers, in_stream=in_stream, seen=_tell_interruption(source)):
                 read = read or bool(getattr(record, "texts", ())) or record.record == "read"
                 row = {"record": record.record, "recording": source, **record.to_dict()}
                 click.echo(json_line(row) if as_json else _text(record))

@@ -5,7 +5,6 @@ from __future__ import annotations
 from collections.abc import Iterator
 
 import numpy as np
-from numpy.typing import NDArray
 
 from evqr.errors import RecordingError
 from evqr.live.pieces import Events, Piece, Sensor, TriggerSeen
@@ -13,21 +12,14 @@ from evqr.recording.declared import DeclaredSensor
 from evqr.recording.extras import required
 from evqr.recording.prophesee import MAX_HEADER_BYTES, PropheseeHeader, parse_header
 from evqr.recording.source import RawColumns, explained
+from evqr.recording.triggers import Evt3Edges
 
 WORD = np.dtype("<u2")
-TIME_LOW, TIME_HIGH, TRIGGER = 0x6, 0x8, 0xA
-PAYLOAD = 0xFFF
-LOOP_US = 1 << 24
-"""The times in words go round after so many microseconds."""
-
 HEADER_END = b"% end\n"
 
 
 class Evt3Decoder:
     """Decodes a stream as its bytes come.
-
-    Words of type EXT_TRIGGER have the number of their line and its new level (openeb,
-    ``evt3_event_types.h``). A line that rises starts a gate, and one that falls ends it.
 
     Parameters
     ----------
@@ -41,7 +33,7 @@ class Evt3Decoder:
         self._decoder = self._evt3.Decoder()
         self._head: bytes | None = b""  # until it is whole
         self._rest = b""
-        self._low = self._high = self._loops = 0
+        self._edges = Evt3Edges()
 
     def feed(self, data: bytes) -> Iterator[Piece]:
         """Take bytes; give what is whole.
@@ -64,7 +56,8 @@ class Evt3Decoder:
         data, self._rest = data[:whole], data[whole:]
         if not data:
             return
-        yield from self._triggers(np.frombuffer(data, WORD))
+        for edge in self._edges.among(np.frombuffer(data, WORD)):
+            yield TriggerSeen(*edge)
         with explained(self._name, "EVT3 data", "see what sends it"):
             events = self._decoder.feed(data)
         if len(events.timestamp):
@@ -86,16 +79,3 @@ class Evt3Decoder:
             raise RecordingError(f"{self._name}: its header has no size of the sensor; send '% geometry WxH'")
         width, height = header.sensor.size
         return Sensor(width, height), head[size:]
-
-    def _triggers(self, words: NDArray[np.uint16]) -> Iterator[TriggerSeen]:
-        """Give the triggers among words, with the times of those before them."""
-        kind = words >> 12
-        lows_at, highs_at, triggers_at = (np.flatnonzero(kind == of) for of in (TIME_LOW, TIME_HIGH, TRIGGER))
-        low = np.concatenate([[self._low], words[lows_at] & PAYLOAD]).astype(np.int64)
-        high = np.concatenate([[self._high], words[highs_at] & PAYLOAD]).astype(np.int64)
-        loops = self._loops + np.concatenate([[0], np.cumsum(np.diff(high) < -(PAYLOAD >> 1))])
-        for at in triggers_at.tolist():
-            turn = np.searchsorted(highs_at, at)
-            t_us = int(loops[turn] * LOOP_US + (high[turn] << 12) + low[np.searchsorted(lows_at, at)])
-            yield TriggerSeen(t_us, "start" if words[at] & 1 else "end")
-        self._low, self._high, self._loops = int(low[-1]), int(high[-1]), int(loops[-1])

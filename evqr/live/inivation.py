@@ -17,12 +17,10 @@ import numpy as np
 
 from evqr.errors import RecordingError, UsageError
 from evqr.extras import needs_extra
-from evqr.live.pieces import Events, Idle, Piece, Sensor, TriggerKind, TriggerSeen
+from evqr.live.pieces import Events, Idle, Piece, Sensor, TriggerSeen
 from evqr.live.source import IDLE_S, RETRY_S, Reopened
 from evqr.recording.source import RawColumns
-
-EDGES: dict[int, TriggerKind] = {1: "start", 2: "end", 3: "pulse"}
-"""Kinds of triggers by the number of their ``TriggerType``: of external signals, others are internal ones."""
+from evqr.recording.triggers import AEDAT4_SOURCES
 
 POLL_S = 0.001
 """How often it is asked for more where nothing has come [s]."""
@@ -53,7 +51,7 @@ def events_of(store: Any) -> Events:
 def triggers_of(batch: Any) -> Iterator[TriggerSeen]:
     """Decode a batch of triggers; one that rises opens a gate, and one that falls closes it."""
     for trigger in batch:
-        kind = EDGES.get(int(trigger.type.value))
+        kind = AEDAT4_SOURCES.get(int(trigger.type.value))
         if kind is not None:
             yield TriggerSeen(int(trigger.timestamp), kind)
 

@@ -25,8 +25,9 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from evqr.errors import RecordingError
-from evqr.live.pieces import Events, Piece, Sensor, TimePasses, TriggerKind, TriggerSeen
+from evqr.live.pieces import Events, Piece, Sensor, TimePasses, TriggerSeen
 from evqr.recording.source import RawColumns
+from evqr.recording.triggers import TriggerKind
 
 MAGIC = b"EVQRPKT1"
 HEAD = struct.Struct("<8sHHI")

@@ -3,11 +3,10 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Literal, TypeAlias
+from typing import TypeAlias
 
 from evqr.recording.source import RawColumns
-
-TriggerKind = Literal["pulse", "start", "end"]
+from evqr.recording.triggers import TriggerKind
 
 
 @dataclass(frozen=True)

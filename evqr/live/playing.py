@@ -2,14 +2,17 @@
 
 from __future__ import annotations
 
+import math
 import threading
 import time
+from collections import deque
 from collections.abc import Iterator
 
 from evqr.events.array import EventArray
-from evqr.live.pieces import Events, Piece, Sensor, TimePasses
+from evqr.live.pieces import Events, Piece, Sensor, TimePasses, TriggerSeen
 from evqr.recording import Recording
 from evqr.recording.source import RawColumns
+from evqr.recording.triggers import Edge
 
 PIECE_US = 5_000
 """Events that come together, where nothing says how fast [us]."""
@@ -29,10 +32,15 @@ class Playing:
         What it is called.
     speed : float, optional
         Time of the recording over time: 1 as it was. Default: as fast as it is read.
+    triggers : bool
+        Give the triggers that are in the recording, too, each before the events of its time.
     """
 
-    def __init__(self, recording: Recording, name: str, *, speed: float | None = None) -> None:
+    def __init__(
+        self, recording: Recording, name: str, *, speed: float | None = None, triggers: bool = False
+    ) -> None:
         self.name = name
+        self._triggers = triggers
         self._recording = recording
         self._speed = speed
         self._stopped = threading.Event()
@@ -52,8 +60,9 @@ class Playing:
         Raises
         ------
         RecordingError
-            The recording is wrong, from here on.
+            The recording is wrong, from here on; or no triggers are read from such files.
         """
+        edges = deque(self._recording.triggers() if self._triggers else ())
         yield Sensor(self._recording.width, self._recording.height)
         length_us = PIECE_US if self._speed is None else LIVE_PIECE_US
         began, first_us = time.monotonic(), None
@@ -67,6 +76,7 @@ class Playing:
                     self._stopped.wait(max(0.0, began + due_s - time.monotonic()))
                 if self._stopped.is_set():
                     return
+                yield from _due(edges, start_us + length_us)
                 if len(piece):
                     yield Events(columns_of(piece))
                     start_us += length_us
@@ -74,6 +84,13 @@ class Playing:
                     next_us = int(chunk.t[chunk.first_at(start_us)])
                     start_us = next_us if self._speed is None else min(start_us + length_us, next_us)
                     yield TimePasses(start_us)
+        yield from _due(edges, math.inf)
+
+
+def _due(edges: deque[Edge], before_us: float) -> Iterator[TriggerSeen]:
+    """Take the triggers before a time."""
+    while edges and edges[0].t_us < before_us:
+        yield TriggerSeen(*edges.popleft())
 
 
 def columns_of(events: EventArray) -> RawColumns:

@@ -13,9 +13,10 @@ from numpy.typing import NDArray
 
 from evqr.errors import RecordingError
 from evqr.extras import needs_extra
-from evqr.live.pieces import Events, Idle, Interrupted, Piece, Sensor, TimePasses, TriggerKind, TriggerSeen
+from evqr.live.pieces import Events, Idle, Interrupted, Piece, Sensor, TimePasses, TriggerSeen
 from evqr.live.source import IDLE_S
 from evqr.recording.source import RawColumns
+from evqr.recording.triggers import TriggerKind
 
 OVERRUN = "packets of the camera were lost, as they were not taken in time"
 

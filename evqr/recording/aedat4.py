@@ -1,6 +1,6 @@
 """AEDAT4 (iniVation DV), decoded packet by packet by the package aedat (extra ``formats``).
 
-Only events are read; frames, IMU samples and triggers are passed over.  A file may hold several event
+Events and triggers are read; frames and IMU samples are passed over.  A file may hold several event
 streams, of several cameras or of steps of a filter; which is which only the XML in its header tells.
 """
 
@@ -19,6 +19,7 @@ from .extras import required
 from .faults import Faults
 from .options import Asked
 from .source import RawChunks, RawColumns, Source, choose_stream, explained
+from .triggers import AEDAT4_SOURCES, Edge
 
 MAGIC_BYTES = 14  # "#!AER-DAT4.0\r\n"
 MAX_HEADER_BYTES = 1 << 20
@@ -63,7 +64,20 @@ class Aedat4Source(Source):
         if held:
             yield _columns(np.concatenate(parts))
 
+    def edges(self) -> Iterator[Edge]:
+        """All triggers of external signals, of whichever stream."""
+        for packet in self._all_packets(Faults(self.name)):
+            if "triggers" in packet:
+                for t_us, source in packet["triggers"][["t", "source"]].tolist():
+                    if source in AEDAT4_SOURCES:
+                        yield Edge(t_us, AEDAT4_SOURCES[source])
+
     def _packets(self, faults: Faults) -> Iterator[Any]:
+        for packet in self._all_packets(faults):
+            if packet["stream_id"] == self._id and "events" in packet:
+                yield packet["events"]
+
+    def _all_packets(self, faults: Faults) -> Iterator[Any]:
         with explained(self.name, "AEDAT4 file"):
             packets = iter(self._aedat.Decoder(self.name))
             while True:
@@ -76,8 +90,7 @@ class Aedat4Source(Source):
                     return
                 if packet is None:
                     return
-                if packet["stream_id"] == self._id and "events" in packet:
-                    yield packet["events"]
+                yield packet
 
 
 def _columns(events: Any) -> RawColumns:

@@ -8,6 +8,9 @@ binary data may begin with a percent sign.  Decoders get data without header.
 from __future__ import annotations
 
 import os
+from collections.abc import Iterator
+
+import numpy as np
 
 from ..errors import RecordingError
 from .declared import DeclaredSensor, DeclaredUnit, Unclear, find_sensor, sensor_of
@@ -17,9 +20,11 @@ from .options import Asked
 from .prophesee_dat import DatSource
 from .prophesee_words import EVT2, EVT4, EVT21, EVT21_LEGACY, Words, WordSource
 from .source import RawChunks, RawColumns, Source, explained
+from .triggers import Edge, Evt3Edges
 
 MAX_HEADER_BYTES = 1 << 16
 EVT3_WORD_BYTES = 2
+AT_ONCE_WORDS = 1 << 20
 
 IN_US = DeclaredUnit("us", "the format is in us")
 
@@ -159,3 +164,11 @@ class Evt3Source(Source):
                 yield RawColumns(events.timestamp, events.x, events.y, events.polarity)
         if rest:
             faults.cut(f"{rest} byte{'s' * (rest != 1)} after the last whole word of {EVT3_WORD_BYTES}")
+
+    def edges(self) -> Iterator[Edge]:
+        """All triggers."""
+        edges = Evt3Edges()
+        with open(self.name, "rb") as file:
+            file.seek(self._start)
+            while data := file.read(AT_ONCE_WORDS * EVT3_WORD_BYTES):
+                yield from edges.among(np.frombuffer(data, "<u2", len(data) // EVT3_WORD_BYTES))

@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 from ..errors import EvqrError, RecordingError, StreamChoice
 from .declared import DeclaredSensor, DeclaredUnit, Unclear
 from .faults import Faults
+from .triggers import Edge
 
 
 class RawColumns(NamedTuple):
@@ -97,6 +98,16 @@ class Source(ABC):
     def raw_tail(self, count: int) -> RawColumns | None:
         """Return the last ``count`` events, where they can be had without reading all before them."""
         return None
+
+    def edges(self) -> Iterator[Edge]:
+        """All triggers, in a way through of its own.
+
+        Raises
+        ------
+        RecordingError
+            Such files have none, or none that are read.
+        """
+        raise RecordingError(f"{self.name}: no triggers are read from {self.format}; name a file of triggers")
 
     def close(self) -> None:  # noqa: B027  (most sources hold nothing open between chunks)
         """Release files; harmless when called twice."""

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Iterator
 from contextlib import closing
 from types import TracebackType
@@ -18,6 +19,7 @@ from .options import Asked
 from .ordering import EventIntake
 from .source import RawColumns, Source
 from .time_unit import decide_time_unit, odd_if_asked
+from .triggers import Edge
 
 SAMPLE_EVENTS = 1 << 16  # the unit of time is judged by so many first events
 
@@ -187,6 +189,24 @@ class Recording:
                 if intake.done:
                     return
         yield from intake.finish()
+
+    def triggers(self) -> list[Edge]:
+        """Give the triggers that are in the file, in a way through of its own.
+
+        Returns
+        -------
+        edges : list of Edge
+            In order of time, by the clock of the file where that was reset.
+
+        Raises
+        ------
+        RecordingError
+            None are read from such files.
+        """
+        asked, offset_us = self._asked, self._source.t_offset_us
+        edges = [Edge(edge.t_us + offset_us, edge.kind) for edge in self._source.edges()]
+        first_us, last_us = asked.start_us or 0, math.inf if asked.end_us is None else asked.end_us
+        return sorted(edge for edge in edges if first_us <= edge.t_us <= last_us)
 
     def read(self) -> EventArray:
         """Give all events at once.

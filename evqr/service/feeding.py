@@ -27,7 +27,7 @@ _LOG = logging.getLogger(__name__)
 
 @contextmanager
 def opened_source(
-    where: str, *, speed: float | None = None, **opening: Unpack[RecordingOptions]
+    where: str, *, speed: float | None = None, in_stream: bool = False, **opening: Unpack[RecordingOptions]
 ) -> Iterator[LiveSource]:
     """Open a live source, or a recording that is played; what was odd about a recording is logged at its end.
 
@@ -37,6 +37,8 @@ def opened_source(
         As of `live_source`, or a path, which goes before it.
     speed : float, optional
         Of a recording, as of `Playing`.
+    in_stream : bool
+        The triggers that are in a recording are wanted.
     **opening : as for `open_recording`
         Of a recording.
 
@@ -57,7 +59,7 @@ def opened_source(
         yield source
         return
     with open_recording(where, **opening) as recording:
-        yield Playing(recording, where, speed=speed)
+        yield Playing(recording, where, speed=speed, triggers=in_stream)
         for text in recording.notes:
             _LOG.warning("%s: %s", where, text)
 

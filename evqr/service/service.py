@@ -113,14 +113,16 @@ class Service:
             self._open_sequence(stack)
             self._check_itself()
             settings = self._settings.source
+            in_stream = self._settings.triggers is TriggerSource.STREAM
             source = self._source = stack.enter_context(
-                opened_source(settings.where, speed=settings.speed, sensor=settings.sensor)
+                opened_source(
+                    settings.where, speed=settings.speed, in_stream=in_stream, sensor=settings.sensor
+                )
             )
             if self._stopped:
                 source.stop()
             self._systemd.tell("READY=1")
             _LOG.info("reading %s", source.name)
-            in_stream = self._settings.triggers is TriggerSource.STREAM
             for record in feed(source, self._make, in_stream=in_stream, seen=self._seen):
                 read = read or isinstance(record, ReadRecord)
                 self._take(record)
