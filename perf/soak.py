@@ -161,7 +161,9 @@ class Line:
     def close(self) -> None:
         self.take(self.reader.close())
         self.wrong["never"] = len(self._expected)
-        self.wrong["untold"] = sum(abs(self.given[kind] - self._troubles[kind]) for kind in ("gaps", "resets"))
+        self.wrong["untold"] = sum(
+            abs(self.given[kind] - self._troubles[kind]) for kind in ("gaps", "resets")
+        )
 
     # ---- what goes wrong
 
