@@ -107,6 +107,11 @@ class Align(Step):
         self._pose = self._staging.both((count, 9), value=np.eye(3).ravel())
 
     @property
+    def image_part(self) -> Any:
+        """Which part of its image each pose is relative to, on the device."""
+        return self._image_part.device
+
+    @property
     def image_idx(self) -> Any:
         """Images that they are on (N,) on the device."""
         return self._image_idx.device
@@ -192,8 +197,8 @@ class Beyond(Step):
     def launch(self) -> None:
         """Launch the kernels one by one."""
         self._backend.align_poses(
-            self._images, self._poses.image_idx, self._number.device, *self._tables, 0, self._poses.pose,
-            self._result.device,
+            self._images, self._poses.image_idx, self._poses.image_part, self._number.device, *self._tables,
+            0, self._poses.pose, self._result.device,
         )  # fmt: skip
 
     def judged(self, found: Alignment) -> Alignment:
