@@ -12,7 +12,7 @@ from evqr.events.array import EventArray
 from evqr.live.pieces import Events, Piece, Sensor, TimePasses, TriggerSeen
 from evqr.recording import Recording
 from evqr.recording.source import RawColumns
-from evqr.recording.triggers import Edge
+from evqr.recording.triggers import TriggerKind
 
 PIECE_US = 5_000
 """Events that come together, where nothing says how fast [us]."""
@@ -87,9 +87,9 @@ class Playing:
         yield from _due(edges, math.inf)
 
 
-def _due(edges: deque[Edge], before_us: float) -> Iterator[TriggerSeen]:
+def _due(edges: deque[tuple[int, TriggerKind]], before_us: float) -> Iterator[TriggerSeen]:
     """Take the triggers before a time."""
-    while edges and edges[0].t_us < before_us:
+    while edges and edges[0][0] < before_us:
         yield TriggerSeen(*edges.popleft())
 
 

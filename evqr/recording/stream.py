@@ -19,7 +19,7 @@ from .options import Asked
 from .ordering import EventIntake
 from .source import RawColumns, Source
 from .time_unit import decide_time_unit, odd_if_asked
-from .triggers import Edge
+from .triggers import Edge, TriggerKind
 
 SAMPLE_EVENTS = 1 << 16  # the unit of time is judged by so many first events
 
@@ -190,13 +190,14 @@ class Recording:
                     return
         yield from intake.finish()
 
-    def triggers(self) -> list[Edge]:
+    def triggers(self) -> list[tuple[int, TriggerKind]]:
         """Give the triggers that are in the file, in a way through of its own.
 
         Returns
         -------
-        edges : list of Edge
-            In order of time, by the clock of the file where that was reset.
+        edges : list of (int [us], "pulse", "start" or "end")
+            When, in order and by the clock of the file where that was reset; and whether a part passes, its
+            gate opens as a signal rises, or closes as it falls.
 
         Raises
         ------
