@@ -127,24 +127,44 @@ def check_call(
         if array.index and given.get(array.name) is not None:
             checks.choice(array.name, given[array.name], checks.sizes[array.index])
     if values:
-        _check_values(operation, given, checks)
+        check_values(operation, given, checks.sizes)
     return checks.sizes, checks.dtype or np.dtype(np.float32)
 
 
-def _check_values(operation: Operation, given: Mapping[str, Any], checks: ArrayChecks) -> None:
-    for array in operation.inputs:
+def check_values(operation: Operation, given: Mapping[str, Any], sizes: Sizes) -> None:
+    """Check what arrays hold, whose shapes fit.
+
+    Parameters
+    ----------
+    operation : Operation
+        What is called.
+    given : mapping
+        Arrays by name; None where a default stands.
+    sizes : mapping
+        Values of letters and settings.
+
+    Raises
+    ------
+    ValueError
+        If something in them is out of range.
+    """
+    checks = ArrayChecks(sizes)
+    for array in operation.looked_at:
+        value = given[array.name]
+        if value is None:
+            continue
         if array.ascending:
-            checks.window_values(given[array.name])
-        if array.index and given[array.name] is not None:
-            checks.index(array.name, given[array.name], checks.sizes[array.index])
-        if array.ranges and given[array.name] is not None:
-            checks.ranges(array.name, given[array.name], checks.sizes[array.ranges])
-        if array.most and given[array.name] is not None:
-            checks.at_most(array.name, given[array.name], [size_of(n, checks.sizes) for n in array.most])
-        if array.check and given[array.name] is not None:
-            array.check(given[array.name])
+            checks.window_values(value)
+        if array.index:
+            checks.index(array.name, value, sizes[array.index])
+        if array.ranges:
+            checks.ranges(array.name, value, sizes[array.ranges])
+        if array.most:
+            checks.at_most(array.name, value, [size_of(n, sizes) for n in array.most])
+        if array.check:
+            array.check(value)
     if operation.check_values:
-        operation.check_values(given, checks.sizes)
+        operation.check_values(given, sizes)
 
 
 def _is_plain(array: Input | Output) -> bool:

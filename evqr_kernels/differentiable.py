@@ -184,6 +184,20 @@ class Front:
             ],
             return_annotation=array,
         )
+        parameters = self.signature.parameters.values()
+        self._defaults = {p.name: None if p.default is p.empty else p.default for p in parameters}
+        self._required = tuple(p.name for p in parameters if p.default is p.empty)
+        self._positional = sum(p.kind is not p.KEYWORD_ONLY for p in parameters)
+
+    def values(self, args: tuple[Any, ...], kwargs: dict[str, Any]) -> dict[str, Any]:
+        """Give what the function was called with, and defaults, by name; TypeError if it does not fit."""
+        given = {**dict(zip(self._defaults, args, strict=False)), **kwargs}
+        fits = len(given) == len(args) + len(kwargs) and len(args) <= self._positional
+        if not (
+            fits and all(n in given for n in self._required) and all(n in self._defaults for n in kwargs)
+        ):
+            self.signature.bind(*args, **kwargs)
+        return {**self._defaults, **given}
 
     def bound(
         self,
@@ -203,9 +217,7 @@ class Front:
         default : callable
             Makes what stands for an input that is not given, of a row and a shape, like an array of floats.
         """
-        call = self.signature.bind(*args, **kwargs)
-        call.apply_defaults()
-        values = call.arguments
+        values = self.values(args, kwargs)
         settings = []
         for setting in self.operation.settings:
             value = values[setting.name]

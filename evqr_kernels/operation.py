@@ -252,6 +252,11 @@ class Operation:
         return tuple(a for a in self.arguments if isinstance(a, Input))
 
     @functools.cached_property
+    def looked_at(self) -> tuple[Input, ...]:
+        """Inputs with contents that cannot be just anything."""
+        return tuple(a for a in self.inputs if a.ascending or a.index or a.ranges or a.most or a.check)
+
+    @functools.cached_property
     def outputs(self) -> tuple[Output, ...]:
         """Arrays that are written."""
         return tuple(a for a in self.arguments if isinstance(a, Output))

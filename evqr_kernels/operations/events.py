@@ -36,12 +36,12 @@ FAR = 100.0
 
 def _relative_times(arrays: Arrays, sizes: Sizes) -> None:
     """Refuse absolute times, which would bring all events to where no image is."""
-    t, motion, frame = arrays["t"], arrays["motion"], arrays.get("frame")
-    if len(t) < 2 or not motion.size:
+    t = arrays["t"]
+    if len(t) < 2 or t[0] <= 0 <= t[-1]:
         return
-    first, last = float(t.min()), float(t.max())
+    first, last, motion, frame = float(t.min()), float(t.max()), arrays["motion"], arrays.get("frame")
     away = max(first, -last)
-    if away > FAR * (last - first):
+    if motion.size and away > FAR * (last - first):
         side = 1.0 if frame is None else float(frame[:, 2].max())
         if away * float(np.abs(motion[:, :2]).max()) > (sizes["Y"] + sizes["X"]) * side:
             raise ValueError(

@@ -58,13 +58,18 @@ def record(run: Callable[[], None]) -> Callable[[], Any]:
     A launch has its arguments checked and packed: a fifth of a millisecond for twenty kernels, which a
     recorded sequence pays once.
     """
+    return replayer(recorded(run))
+
+
+def recorded(run: Callable[[], None]) -> list[Recorded]:
+    """List what ``run`` launches and clears, launching nothing."""
     steps: list[Recorded] = []
     _recording.steps = steps
     try:
         run()
     finally:
         _recording.steps = None
-    return replayer(steps)
+    return steps
 
 
 def kernels_of(run: Callable[[], None]) -> list[wp.Kernel]:

@@ -80,11 +80,11 @@ def run_sequence(
     run_steps(count, looks, steps_inout, turn_inout)
 
 
-def replayer(steps: list[Recorded]) -> Callable[[], Any]:
-    """Give the function that makes the steps, in order."""
+def replayer(steps: list[Recorded], looks: int = MOST_LOOKS) -> Callable[[], Any]:
+    """Give the function that makes the steps, in order, and then looks so often whether it is its turn."""
     solid = all(isinstance(step, wp.Launch) or step.is_contiguous for step in steps)
     if steps and steps[0].device.is_cpu and solid and wp.config.version.startswith(ENTRIES_OF):
-        return _Sequence(steps)
+        return Replay(steps, looks)
     calls = [step.launch if isinstance(step, wp.Launch) else step.zero_ for step in steps]
 
     def replay() -> None:
@@ -107,41 +107,47 @@ def _turn() -> wp.array:
     return wp.array(ptr=_TURN.ctypes.data, dtype=wp.int32, shape=1, device="cpu")
 
 
-def _launch_of(count: int, table: wp.array) -> wp.Launch:
+def _launch_of(count: int, looks: int, table: wp.array) -> wp.Launch:
     """Give the launch that makes the steps of a table."""
     return wp.launch(
-        run_sequence, 1, inputs=[count, MOST_LOOKS], outputs=[table, _turn()], device="cpu", record_cmd=True
+        run_sequence, 1, inputs=[count, looks], outputs=[table, _turn()], device="cpu", record_cmd=True
     )
 
 
 @functools.cache
 def _no_steps() -> wp.Launch:
     """Give a launch of no steps: sequences differ from it in their number of steps and their table alone."""
-    return _launch_of(0, wp.array(ptr=_NO_STEPS.ctypes.data, dtype=wp.uint64, shape=3, device="cpu"))
+    return _launch_of(0, 0, wp.array(ptr=_NO_STEPS.ctypes.data, dtype=wp.uint64, shape=3, device="cpu"))
 
 
 def _entry_of(launch: wp.Launch) -> int:
     return ctypes.cast(launch.hooks.forward, ctypes.c_void_p).value
 
 
-class _Sequence:
-    """Steps on the CPU as one call; keeps what the call, or a graph, has only the addresses of."""
+class Replay:
+    """Steps on the CPU as one call; keeps what the call, or a graph, has only the addresses of.
 
-    def __init__(self, steps: list[Recorded]) -> None:
-        self._steps, self._arguments = steps, []
+    Attributes
+    ----------
+    table : (3 * steps,) uint64
+        See `run_sequence`.
+    arguments : list of Structure
+        Those of the launches, in order, as kernels read them; and of the call.
+    """
+
+    def __init__(self, steps: list[Recorded], looks: int) -> None:
+        self._steps, self._looks, self.arguments = steps, looks, []
         rows = [
             self._call_of(_entry_of(step), step.bounds, step.params[1:])
             if isinstance(step, wp.Launch)
             else (0, step.ptr, step.size * wp.types.type_size_in_bytes(step.dtype))
             for step in steps
         ]
-        self._table = np.array(rows, np.uint64).ravel()
-        self._array = wp.array(
-            ptr=self._table.ctypes.data, dtype=wp.uint64, shape=3 * len(rows), device="cpu"
-        )
+        self.table = np.array(rows, np.uint64).ravel()
+        self._array = wp.array(ptr=self.table.ctypes.data, dtype=wp.uint64, shape=3 * len(rows), device="cpu")
         alike = _no_steps()
-        _, _, looks, _, turn = alike.params
-        values = type(looks)(len(steps)), type(looks)(MOST_LOOKS), self._array.__ctype__(), turn
+        _, count, _, _, turn = alike.params
+        values = type(count)(len(steps)), type(count)(looks), self._array.__ctype__(), turn
         entry, *self._call = self._call_of(_entry_of(alike), alike.bounds, values)
         self._entry = _ENTRY(entry)
         self._device = alike.device
@@ -149,14 +155,15 @@ class _Sequence:
     def _call_of(self, entry: int, bounds: ctypes.Structure, values: Sequence[Any]) -> tuple[int, int, int]:
         """Lay a launch's arguments out in memory; the address of its kernel, its bounds and its arguments."""
         arguments = _structure_of(tuple(map(type, values)))(*values)
-        self._arguments.append(arguments)
+        self.arguments.append(arguments)
         return entry, ctypes.addressof(bounds), ctypes.addressof(arguments)
 
     @functools.cached_property
     def _launch(self) -> wp.Launch:
-        return _launch_of(len(self._steps), self._array)
+        return _launch_of(len(self._steps), self._looks, self._array)
 
     def __call__(self) -> None:
+        """Make the steps."""
         if self._device.is_capturing:
             self._launch.launch()  # noted down in the graph
         else:

@@ -1,6 +1,7 @@
 """Differentiable PyTorch functions: in place, with the gradients that autograd finds for the definitions."""
 
 import re
+from concurrent.futures import ThreadPoolExecutor
 
 import numpy as np
 import pytest
@@ -9,13 +10,18 @@ torch = pytest.importorskip("torch", reason="PyTorch is not installed")
 
 import evqr_kernels.torch  # noqa: E402
 from evqr_kernels.interop import warp_view  # noqa: E402
+from evqr_kernels.warp_backend import replay  # noqa: E402
+from evqr_kernels.warp_backend.rebinding import Rebindable  # noqa: E402
 
+from . import cases  # noqa: E402
 from .framework_cases import (  # noqa: E402
     BAD_CALLS,
     CASES,
     NOT_DIFFERENTIABLE,
+    SHAPE,
     assert_like,
     bad_arguments,
+    deposit_events,
     render_code,
     splat_events,
 )
@@ -110,13 +116,130 @@ def test_no_copy_is_made(monkeypatch, rng):
     """The kernels get the memory of the tensors."""
     case = splat_events(rng, np.float32)
     given = tensors(case, "cpu")
-    seen = []
-    view = evqr_kernels.torch._view
-    monkeypatch.setattr(evqr_kernels.torch, "_view", lambda tensor: seen.append(view(tensor)) or seen[-1])
+    addresses = set()
+    launch = Rebindable.__call__
+    monkeypatch.setattr(
+        Rebindable, "__call__", lambda self, at: (addresses.update(at), launch(self, at)) and None
+    )
     out = evqr_kernels.torch.splat_events(**given, **case.options)
-    addresses = {array.ptr for array in seen}
     assert {given[name].data_ptr() for name in ("x", "weight", "motion")} <= addresses
     assert out.data_ptr() in addresses
+
+
+def test_calls_of_one_plan_from_several_threads(rng):
+    """Each has a sequence of its own, with addresses of its own."""
+    case = splat_events(rng, np.float32)
+    batches = [tensors(splat_events(np.random.default_rng(k), np.float32), "cpu") for k in range(4)]
+    expected = [evqr_kernels.torch.splat_events(**given, **case.options) for given in batches]
+    with ThreadPoolExecutor(4) as pool:
+        for _ in range(20):
+            got = pool.map(lambda given: evqr_kernels.torch.splat_events(**given, **case.options), batches)
+            assert all(torch.equal(a, b) for a, b in zip(got, expected, strict=True))
+
+
+def test_where_the_entries_of_kernels_are_not_known(monkeypatch, rng):
+    """Launches are then made one by one, as on a GPU, at the same addresses."""
+    case = splat_events(rng, np.float32, 6)
+    expected, got = tensors(case, "cpu"), tensors(case, "cpu")
+    out = evqr_kernels.torch.splat_events(**expected, **case.options)
+    out.square().sum().backward()
+    evqr_kernels.torch._plan.cache_clear()
+    monkeypatch.setattr(replay, "ENTRIES_OF", ())
+    again = [evqr_kernels.torch.splat_events(**got, **case.options) for _ in range(2)]
+    for image in again:
+        image.square().sum().backward()
+    evqr_kernels.torch._plan.cache_clear()
+    assert all(torch.equal(out, image) for image in again)
+    for name in case.varied:
+        torch.testing.assert_close(got[name].grad, 2 * expected[name].grad)
+
+
+def image_of_motion(rng, dtype=np.float64):
+    case = splat_events(rng, dtype)
+    given = tensors(case, "cpu")
+    given["weight"].requires_grad_(False)
+    for name in ("x", "y"):
+        given[name].requires_grad_(False)
+    motion = given.pop("motion").detach()
+    return (lambda m: evqr_kernels.torch.splat_events(motion=m, **given, **case.options)), motion
+
+
+def test_functions_of_torch_func(rng):
+    """Gradients, Jacobians and batches, one inside the other, are those of calls one after the other."""
+    image, motion = image_of_motion(rng)
+
+    def sharpness(m):
+        return image(m).square().sum()
+
+    by_hand = motion.clone().requires_grad_()
+    sharpness(by_hand).backward()
+    torch.testing.assert_close(torch.func.grad(sharpness)(motion), by_hand.grad)
+    jacobian = torch.func.jacrev(image)(motion)
+    adj = torch.randn(jacobian.shape[:3], dtype=torch.float64)
+    _, pull = torch.func.vjp(image, motion)
+    torch.testing.assert_close(torch.einsum("byx,byxcp->cp", adj, jacobian), pull(adj)[0])
+    several = motion + torch.randn(3, *motion.shape, dtype=torch.float64)
+    one_by_one = torch.stack([image(m) for m in several])
+    assert torch.equal(torch.func.vmap(image)(several), one_by_one)
+    assert torch.equal(torch.func.vmap(image, in_dims=2)(several.movedim(0, 2)), one_by_one)
+    gradients = torch.stack([torch.func.grad(sharpness)(m) for m in several])
+    torch.testing.assert_close(torch.func.vmap(torch.func.grad(sharpness))(several), gradients)
+    total = torch.func.grad(lambda all_: torch.func.vmap(sharpness)(all_).sum())
+    torch.testing.assert_close(total(several), gradients)
+
+
+def test_a_batch_of_what_has_no_gradient(rng):
+    call = cases.event_histogram(rng, np.float32)
+    given = {
+        n: torch.from_numpy(v.copy()) if isinstance(v, np.ndarray) else v for n, v in call.checked.items()
+    }
+    x = given.pop("x")
+    several = torch.stack([x, x + 1])
+    got = torch.func.vmap(lambda column: evqr_kernels.torch.event_histogram(column, **given))(several)
+    assert torch.equal(got[1], evqr_kernels.torch.event_histogram(x + 1, **given))
+
+
+def test_a_second_backward_pass_is_refused(rng):
+    image, motion = image_of_motion(rng)
+    motion.requires_grad_()
+    (gradient,) = torch.autograd.grad(image(motion).square().sum(), motion, create_graph=True)
+    with pytest.raises(RuntimeError, match="splat_events_adjoint has no adjoint of its own"):
+        gradient.sum().backward()
+
+
+def test_it_is_compiled_whole(rng):
+    """One graph, forward and backward, whatever is not given; shapes may change."""
+    torch._dynamo.reset()
+    for make in (splat_events, deposit_events):
+        case = make(rng, np.float32)
+
+        def loss(given, case=case):
+            return getattr(evqr_kernels.torch, case.op)(**given, **case.options).square().sum()
+
+        compiled = torch.compile(loss, fullgraph=True, backend="aot_eager")
+        for given in (case.arrays, case.arrays | {"weight": 2 * case.arrays["weight"]}):
+            plain, ours = (
+                {name: torch.from_numpy(array.copy()) for name, array in given.items()} for _ in range(2)
+            )
+            for name in case.varied:
+                plain[name].requires_grad_()
+                ours[name].requires_grad_()
+            loss(plain).backward()
+            compiled(ours).backward()
+            for name in case.varied:
+                torch.testing.assert_close(ours[name].grad, plain[name].grad)
+
+
+def test_operators_are_what_they_say(rng):
+    """By PyTorch's own check: schema, shapes without values, and traced with shapes that change."""
+    case = deposit_events(rng, np.float32)
+    given = tensors(case, "cpu")
+    names = [a.name for a in evqr_kernels.OPERATIONS["deposit_events"].inputs]
+    arguments = [given[n].detach() if n in given else None for n in names]
+    operator = torch.ops.evqr_kernels.deposit_events.default
+    torch.library.opcheck(operator, (*arguments, *SHAPE))
+    adj = operator(*arguments, *SHAPE)
+    torch.library.opcheck(torch.ops.evqr_kernels.deposit_events_adjoint.default, (adj, *arguments, *SHAPE))
 
 
 @pytest.mark.parametrize(
