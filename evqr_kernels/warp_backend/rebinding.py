@@ -1,11 +1,10 @@
 """A recorded sequence of launches whose arrays are others at each call.
 
 For callers whose memory is new each time.  To launch, Warp looks every argument over and packs it: some
-microseconds an array, and there are twenty of them.  Of arrays with the shapes and dtypes of an earlier call only the addresses differ, so the launches are
-recorded once, on places that stand for arrays, and at each call the addresses are written into them.
+microseconds an array, and there are twenty of them.  Of arrays with the shapes and dtypes of an earlier call
+only the addresses differ, so the launches are recorded once, on places that stand for arrays, and at each
+call the addresses are written into them.
 """
-
-from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from typing import Any
