@@ -37,6 +37,9 @@ same."""
 CLEAR = 0.5
 """A module whose estimate is at least so far from grey is clearly dark or light."""
 
+FEW = 8
+"""Windows after each of which decoding is tried; later once there are an eighth more."""
+
 BETTER = 0.05
 """A code that was found again and agrees better by so much was not right before: its windows do not count."""
 
@@ -84,6 +87,7 @@ class Track:
         self._fusion = self._new_fusion()
         self.windows = 0
         self._tries = 1
+        self._attempts = self._attempted = 0
         self._path = deque([(detection.time_us, detection.centre)], maxlen=cfg.track.baseline)
         self._clock = StageClock()
         self._clock.add(detection.timings_ms)
@@ -140,11 +144,12 @@ class Track:
         """Give the bounds of the next window [us]; it begins after the middle of the last that showed it."""
         motion = self.detection.motion
         length = self._solver.window_us(motion)
-        step = length
         if self.reading is not None:
             step = max(length, round(motion.travel_time_us(self._solver.config.follow_px)))
         elif self._misses:
             step = 2 * length
+        else:  # what was followed in vain for long will hardly be read by the next window
+            step = max(length, (self.last_us - self.first_us) // self._cfg.eager)
         middle = self.detection.time_us + step * (1 + self._misses)
         start = round(middle - length / 2)
         return start, start + length
@@ -215,7 +220,10 @@ class Track:
         alone = self.windows == 1
         self._scores = self.detection.score + (0.0 if alone else self._scores)
         self._q = estimate.q
-        thorough = self._tries % self._cfg.full_effort_every == 0
+        if self._tries > FEW and FEW * (self._tries - self._attempted) < self._attempted:
+            return  # a sum says hardly more than one of nearly as many windows
+        self._attempts, self._attempted = self._attempts + 1, self._tries
+        thorough = self._attempts % self._cfg.full_effort_every == 0
         yield from self._try(estimate, self.windows, full=thorough or (alone and self._agrees_well))
         if alone or self.reading is not None or self.detection.space.single_pattern:
             return
@@ -263,7 +271,7 @@ class Track:
         self._path.clear()
         self._path.append((found.time_us, found.centre))
         if found.space != space or better:
-            self._fusion = self._new_fusion()
+            self._fusion, self._attempted = self._new_fusion(), 0
             yield from self._decode()
             return
         (alone,) = yield [Solve(found, self._clock)]

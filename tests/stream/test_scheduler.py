@@ -11,7 +11,7 @@ from scenes import SPEED_PX_MS, joined, keep, noise, scene
 from stream_steps import cut_anywhere, cut_every, records_of
 
 from evqr import ReadConfig, read_codes
-from evqr.config import SchedulerConfig
+from evqr.config import SchedulerConfig, TrackConfig
 from evqr.events.array import EventArray
 from evqr.events.buffer import EventBuffer
 from evqr.fit.detection import Detection, NotFound, Target
@@ -514,3 +514,23 @@ def test_belts_that_run_in_different_ways_do_not_mix(along, other):
         angle = np.deg2rad(along if reading.text == "BELT 1" else other)
         expected = 1e3 * SPEED_PX_MS * np.array([np.cos(angle), np.sin(angle)])
         assert np.linalg.norm(reading.motion_px_per_s - expected) < 0.05 * np.linalg.norm(expected)
+
+
+def test_what_cannot_be_read_is_followed_and_decoded_ever_less_often(monkeypatch):
+    events = scene(version=1, module_px=4.0, travel_px=70.0, width=330, height=140, direction=0.0).events
+    tried_us = []
+
+    def fails(q, space, **how):
+        tried_us.append(scheduler.settled_us)
+        return DecodeFailure(reason=Reason.TOO_MANY_ERRORS, detail="", space=space)
+
+    monkeypatch.setattr("evqr.work.decode_grid", fails)
+    solver = Solver(ReadConfig(track=TrackConfig(eager=8)))
+    scheduler = StreamScheduler([solver], events.width, events.height)
+    scheduler.push(events)
+    records = [*scheduler.step(), *scheduler.close()]
+    longest = max(kinds(records, CodeUnread), key=lambda unread: unread.windows)
+    lasted = longest.t_last_us - longest.t_first_us
+    most = lasted / solver.window_us(longest.target.motion)
+    assert solver.config.track.eager < longest.windows < 0.7 * most
+    assert len(set(tried_us)) < 0.75 * scheduler.statistics.windows
