@@ -1,4 +1,4 @@
-"""Milliseconds by stage, measured where a stage runs and handed on with its result."""
+"""Milliseconds by stage, measured where a stage runs and handed on with its result; and times in UTC."""
 
 from __future__ import annotations
 
@@ -6,11 +6,29 @@ import threading
 import time
 from collections.abc import Generator, Iterator, Mapping
 from contextlib import contextmanager
+from datetime import datetime, timezone
 from typing import Any, TypeVar
 
 Asked = TypeVar("Asked")
 Answer = TypeVar("Answer")
 T = TypeVar("T")
+
+
+def utc_text(seconds: float | None = None) -> str:
+    """Write a time as all records and logs have it.
+
+    Parameters
+    ----------
+    seconds : float, optional [s]
+        Since 1970. Default: now.
+
+    Returns
+    -------
+    text : str
+        In UTC, to the millisecond, such as ``2026-11-30T08:15:02.125Z``.
+    """
+    at = datetime.fromtimestamp(time.time() if seconds is None else seconds, timezone.utc)
+    return at.isoformat(timespec="milliseconds").replace("+00:00", "Z")
 
 
 ONE_TIME = "one_time"

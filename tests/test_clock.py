@@ -6,7 +6,7 @@ import time
 import pytest
 
 import evqr
-from evqr.clock import ONE_TIME, StageClock, one_time
+from evqr.clock import ONE_TIME, StageClock, one_time, utc_text
 
 
 @pytest.fixture
@@ -78,3 +78,9 @@ def test_a_reading_tells_of_it_within_its_total():
     stages = {name: ms for name, ms in result.compute_ms.items() if name != "total"}
     assert 0.0 < stages[ONE_TIME] < result.compute_ms["total"]
     assert sum(stages.values()) <= result.compute_ms["total"]
+
+
+def test_times_in_utc_are_written_in_one_way():
+    assert utc_text(0.0) == "1970-01-01T00:00:00.000Z"
+    assert utc_text(1_790_000_000.1256) == "2026-09-21T14:13:20.125Z"
+    assert utc_text()[:4] >= "2026" and utc_text().endswith("Z")

@@ -10,6 +10,9 @@ from numpy.typing import NDArray
 
 from evqr.events.array import EventArray
 
+STAMPS = 1 << 31
+"""Stamps go round after so many microseconds."""
+
 
 @dataclass(frozen=True, eq=False)
 class PackedEvents:
@@ -104,3 +107,26 @@ def write_stamps(events: EventArray, out: NDArray[np.uint32]) -> None:
     np.copyto(out, events.t, casting="unsafe")  # modulo 2^32
     np.add(out, out, out=out)
     np.add(out, events.p > 0, out=out)
+
+
+def unpacked(
+    events: PackedEvents, near_us: int
+) -> tuple[NDArray[np.int64], NDArray[np.uint16], NDArray[np.uint16], NDArray[np.int8]]:
+    """Give packed events as columns, with whole times: those nearest to a time.
+
+    Parameters
+    ----------
+    events : PackedEvents
+        N of them.
+    near_us : int [us]
+        By the clock of the events.
+
+    Returns
+    -------
+    t, x, y, p : (N,) int64 [us], uint16 [px], uint16 [px], int8
+        Polarity is 1 or -1.
+    """
+    off = ((events.stamp >> 1).astype(np.int64) - near_us) % STAMPS
+    back = (off >= STAMPS // 2) & (off - STAMPS + near_us >= 0)
+    p = np.where(events.stamp & 1, np.int8(1), np.int8(-1))
+    return near_us + np.where(back, off - STAMPS, off), events.x, events.y, p

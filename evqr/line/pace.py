@@ -8,7 +8,8 @@ from bisect import bisect_left
 from collections import deque
 from collections.abc import Callable
 from dataclasses import dataclass
-from datetime import datetime, timezone
+
+from evqr.clock import utc_text
 
 MOST_ARRIVALS = 1 << 12
 """Chunks whose arrival is kept in mind."""
@@ -89,5 +90,4 @@ class Pace:
         """
         at = bisect_left(self._known_us, time_us)
         monotonic, utc = self._arrivals[at] if at < len(self._arrivals) else self._here
-        text = datetime.fromtimestamp(utc, timezone.utc).isoformat(timespec="milliseconds")
-        return text.replace("+00:00", "Z"), max(0.0, 1e3 * (self._clocks.monotonic() - monotonic))
+        return utc_text(utc), max(0.0, 1e3 * (self._clocks.monotonic() - monotonic))

@@ -4,12 +4,12 @@ from __future__ import annotations
 
 import os
 from collections.abc import Iterator, Mapping, Sequence
-from datetime import datetime, timezone
 from importlib.metadata import version
 from os import PathLike
 from pathlib import Path
 from typing import Any
 
+from evqr.clock import utc_text
 from evqr.errors import UsageError
 from evqr.output.records import result_records
 from evqr.output.sqlite_file import SqliteFile
@@ -175,7 +175,7 @@ class ReadingsDatabase:
                     "warnings": "\n".join(result.warnings) or None,
                     "compute_ms": json_line(result.compute_ms),
                     "evqr_version": version("evqr"),
-                    "t_utc": datetime.now(timezone.utc).isoformat(timespec="milliseconds"),
+                    "t_utc": utc_text(),
                 },
             )
 

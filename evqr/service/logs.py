@@ -6,8 +6,8 @@ import logging
 import sys
 from collections.abc import Iterator
 from contextlib import contextmanager
-from datetime import datetime, timezone
 
+from evqr.clock import utc_text
 from evqr.values import json_line
 
 
@@ -16,9 +16,8 @@ class JsonFormatter(logging.Formatter):
 
     def format(self, record: logging.LogRecord) -> str:
         """Give the line of a log record."""
-        at = datetime.fromtimestamp(record.created, timezone.utc)
         line = {
-            "t_utc": at.isoformat(timespec="milliseconds").replace("+00:00", "Z"),
+            "t_utc": utc_text(record.created),
             "level": record.levelname.lower(),
             "logger": record.name,
             "message": " ".join(record.getMessage().split()),

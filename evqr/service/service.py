@@ -8,12 +8,12 @@ from collections import deque
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import ExitStack
 from dataclasses import replace
-from datetime import datetime, timezone
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
+from evqr.clock import utc_text
 from evqr.config import JobConfig
 from evqr.errors import EvqrError, UsageError
 from evqr.events.array import EventArray
@@ -276,11 +276,10 @@ class Service:
 
     def _own(self, kind: str, **fields: Any) -> dict[str, Any]:
         """Make a record that is no reader's; its time is its number."""
-        now = datetime.now(timezone.utc)
         settings = self._settings
         return {
             "record": kind, "line": settings.line, "camera": settings.camera,
-            "t_utc": now.isoformat(timespec="milliseconds").replace("+00:00", "Z"), **fields,
+            "t_utc": utc_text(), **fields,
         }  # fmt: skip
 
     def _send(self, record: Mapping[str, Any]) -> None:

@@ -2,15 +2,18 @@
 
 from __future__ import annotations
 
+import time
 from collections.abc import Sequence
-from datetime import datetime, timedelta, timezone
 from os import PathLike
 from typing import Any
 
+from evqr.clock import utc_text
 from evqr.errors import UsageError
 from evqr.output.sqlite_file import SqliteFile
 from evqr.sinks.sink import JsonRecord
 from evqr.values import json_line
+
+DAY_S = 86_400.0
 
 APPLICATION_ID = 0x65766C72
 """By which a SQLite file says that it is of a line's records: "evlr"."""
@@ -80,14 +83,14 @@ class Database:
     def write(self, records: Sequence[JsonRecord]) -> str:
         """Write rows, all of them or none."""
         assert self._file is not None
-        now = datetime.now(timezone.utc)
+        now_s = time.time()
         try:
             with self._file.together():
-                self._file.db.executemany(ADD, [_row(record, _text(now)) for record in records])
+                self._file.db.executemany(ADD, [_row(record, utc_text(now_s)) for record in records])
                 self._until_pruned -= len(records)
                 if self._until_pruned <= 0:
                     self._until_pruned = PRUNE_EVERY
-                    self._prune(now)
+                    self._prune(now_s)
         except UsageError as error:
             raise ConnectionError(str(error)) from error
         return ""
@@ -98,13 +101,13 @@ class Database:
             self._file.close()
             self._file = None
 
-    def _prune(self, now: datetime) -> None:
+    def _prune(self, now_s: float) -> None:
         """Let old rows go, and note that they have gone."""
         assert self._file is not None
         db = self._file.db
         old: list[tuple[str, tuple[Any, ...]]] = []
         if self._keep_days is not None:
-            old.append(("t_written < ?", (_text(now - timedelta(days=self._keep_days)),)))
+            old.append(("t_written < ?", (utc_text(now_s - DAY_S * self._keep_days),)))
         if self._keep_rows is not None:
             old.append(("id <= (SELECT max(id) FROM records) - ?", (self._keep_rows,)))
         for condition, values in old:
@@ -113,7 +116,7 @@ class Database:
             ).fetchone()
             if count:
                 db.execute(f"DELETE FROM records WHERE {condition}", values)
-                db.execute("INSERT INTO pruned VALUES (?, ?, ?)", (_text(now), count, last))
+                db.execute("INSERT INTO pruned VALUES (?, ?, ?)", (utc_text(now_s), count, last))
 
 
 def _row(record: JsonRecord, t_written: str) -> dict[str, Any]:
@@ -132,7 +135,3 @@ def _row(record: JsonRecord, t_written: str) -> dict[str, Any]:
         "reason_code": record.get("reason_code"),
         "content": json_line(record),
     }
-
-
-def _text(time: datetime) -> str:
-    return time.isoformat(timespec="milliseconds")

@@ -225,7 +225,7 @@ def test_when_there_is_too_much_to_do_searches_are_skipped_and_no_parts(stream, 
     events, gates = stream
     wall = [0.0]
     reader = make(ReadConfig(line=LineConfig(behind_us=20_000)), triggers=TriggerConfig())
-    reader._pace = Pace(Clocks(lambda: wall[0], lambda: wall[0]))
+    reader._line._pace = Pace(Clocks(lambda: wall[0], lambda: wall[0]))
     triggers = [(t, kind) for gate in gates for t, kind in zip(gate, ("start", "end"), strict=True)]
     records, end = [], int(events.t[-1])
     for start in range(LATER_US, end, 1_000):
@@ -261,9 +261,9 @@ def test_memory_does_not_grow_with_the_stream(make):
     for k in range(60):
         reader.trigger(100_000 * k, index=k)
         reader.push(replace(still, t=still.t + 100_000 * k))
-        held = reader._scheduler._events._held
-        history = reader._parts.history
-        sizes.append((held.last - held.first, len(history.searches), len(reader._pace._arrivals)))
+        held = reader._line._stream._events._held
+        history = reader._line._parts.history
+        sizes.append((held.last - held.first, len(history.searches), len(reader._line._pace._arrivals)))
     assert max(sizes[30:])[0] <= max(sizes[:30])[0]
     assert max(row[1] for row in sizes[30:]) <= max(row[1] for row in sizes[:30])
 
