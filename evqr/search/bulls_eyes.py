@@ -97,19 +97,17 @@ def codes_of_bulls_eyes(
     pose[:, 0, 0], pose[:, 0, 1], pose[:, 1, 0], pose[:, 1, 1] = cos, -sin, sin, cos
     pose[:, 0, 2], pose[:, 1, 2] = x - 0.5 * SIDE * (cos - sin), y - 0.5 * SIDE * (sin + cos)
     pose[:, 2, 2] = 1.0
-    level = pyramid.level_for(window, pose, cfg.cells_a_module)
+    places = pyramid.places(window, pose, cfg.cells_a_module)
     found = align(
-        pyramid.images, compose(pyramid.from_px(window, level), pose), [_bulls_eye()] * len(peaks),
-        LEVELS, cfg, workspace=workspace, image_idx=window.astype(np.int32),
-        image_part=pyramid.parts[window, level],
+        pyramid.images, places.in_cells(pose), [_bulls_eye()] * len(peaks), LEVELS, cfg,
+        workspace=workspace, image_idx=places.image_idx, image_part=places.image_part,
     )  # fmt: skip
-    poses = compose(pyramid.to_px(window, level), found.pose)
-    poses /= poses[:, 2:, 2:]
+    poses = places.in_px(found.pose)
     poses[:, 2, :2] = 0.0
     good = np.flatnonzero(found.score >= MIN_SCORE)
     size, turns = _symbols()
     count = len(size)
-    made = Hypotheses(
+    made = Hypotheses.of(
         np.tile(size, len(good)),
         compose(poses[good][:, None], turns).reshape(-1, 3, 3),
         np.repeat(which[good], 3 * count).reshape(-1, 3),
@@ -118,17 +116,17 @@ def codes_of_bulls_eyes(
     of_each = np.repeat(window[good], count)
     if not len(made):
         return made, of_each, np.zeros(0, np.float32)
-    level = pyramid.level_for(of_each, made.pose, cfg.cells_a_module)
+    places = pyramid.places(of_each, made.pose, cfg.cells_a_module)
     found = align(
-        pyramid.images, compose(pyramid.from_px(of_each, level), made.pose),
-        [made.space(k) for k in range(len(made))], LEVELS, cfg,
-        workspace=workspace, image_idx=of_each.astype(np.int32), image_part=pyramid.parts[of_each, level],
+        pyramid.images, places.in_cells(made.pose), [made.space(k) for k in range(len(made))], LEVELS, cfg,
+        workspace=workspace, image_idx=places.image_idx, image_part=places.image_part,
     )  # fmt: skip
-    aligned = compose(pyramid.to_px(of_each, level), found.pose)
+    aligned = places.in_px(found.pose)
     scores = found.score.astype(np.float32)
     # what is compact is a part of what is not, so it agrees with both
     compact, full = scores.reshape(-1, count).T
     of_full = full >= FULL_SHARE * compact
     best = np.arange(len(good)) * count + of_full
     made = made[best]
-    return Hypotheses(made.size, aligned[best], made.peaks, made.inverted), of_each[best], scores[best]
+    found = Hypotheses.of(made.size, aligned[best], made.peaks, made.inverted)
+    return found, of_each[best], scores[best]

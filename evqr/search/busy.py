@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import functools
 import math
+import operator
 
 import numpy as np
 from numpy.typing import NDArray
@@ -44,26 +46,49 @@ def busy_region(window: Window, cfg: FinderConfig) -> Region:
     high, wide = -(-window.height // TILE), -(-window.width // TILE)
     step = -(-len(window) // SAMPLES) or 1
     x, y = window.events.x[::step], window.events.y[::step]
-    tile = (y // TILE).astype(np.int64) * wide + x // TILE
+    tile = np.multiply(y // TILE, wide, dtype=np.intp)
+    tile += x // TILE
     counts = np.bincount(tile, minlength=high * wide)
-    # sorted: to part them takes ten times as long where most are alike
-    quiet = min(float(np.sort(counts)[: len(counts) // 4 + 1].mean()), float(counts.mean()) / 4)
+    quiet = min(_quietest(counts, len(counts) // 4 + 1), len(tile) / len(counts) / 4)
     busy = counts.reshape(high, wide) > 2.0 + quiet + 3.0 * math.sqrt(quiet)
-    around = np.zeros((high + 2, wide + 2), bool)
-    around[1:-1, 1:-1] = busy
-    busy &= around[:-2, 1:-1] | around[2:, 1:-1] | around[1:-1, :-2] | around[1:-1, 2:]
-    (first_y, rows), (first_x, columns) = (
-        _span(np.any(busy, axis=axis), cell, cells) for axis, cells in zip((1, 0), most, strict=True)
+    rows = _with_neighbours(np.packbits(busy, axis=1, bitorder="little"))
+    across = functools.reduce(operator.or_, rows)
+    down = sum(bool(row) << k for k, row in enumerate(rows))
+    (first_y, tall), (first_x, broad) = (
+        _span(places, cell, cells) for places, cells in zip((down, across), most, strict=True)
     )
-    return Region(first_x * cell - 0.5, first_y * cell - 0.5, cell, rows, columns)
+    return Region(first_x * cell - 0.5, first_y * cell - 0.5, cell, tall, broad)
 
 
-def _span(busy: NDArray[np.bool_], cell: float, most: int) -> tuple[int, int]:
+# in Python, as what is done once a window: these are few numbers
+
+
+def _quietest(counts: NDArray[np.intp], many: int) -> float:
+    """Give the mean of the so many least of counts."""
+    total, left = 0, many
+    for value, there in enumerate(np.bincount(counts).tolist()):
+        total += value * min(there, left)
+        left -= min(there, left)
+        if not left:
+            break
+    return total / many
+
+
+def _with_neighbours(bits: NDArray[np.uint8]) -> list[int]:
+    """Give rows of tiles as whole numbers, a bit a tile: those that have one beside, above or below."""
+    rows = [int.from_bytes(row, "little") for row in map(bytes, bits)]
+    return [
+        row & (row << 1 | row >> 1 | above | below)
+        for above, row, below in zip([0, *rows], rows, [*rows[1:], 0], strict=False)
+    ]
+
+
+def _span(busy: int, cell: float, most: int) -> tuple[int, int]:
     """Give the first of so many cells along an axis, and how many hold the busy tiles and a margin."""
-    places = np.flatnonzero(busy)
-    if not len(places):
+    if not busy:
         return 0, most
-    first = max(0, math.floor((places[0] - 1) * TILE / cell))
-    last = min(most, math.ceil((places[-1] + 2) * TILE / cell))
+    first_tile, last_tile = (busy & -busy).bit_length() - 1, busy.bit_length() - 1
+    first = max(0, math.floor((first_tile - 1) * TILE / cell))
+    last = min(most, math.ceil((last_tile + 2) * TILE / cell))
     count = min(most, -(-(last - first) // GRAIN) * GRAIN)
     return max(0, min(first - (count - (last - first)) // 2, most - count)), count

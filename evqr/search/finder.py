@@ -190,10 +190,15 @@ def bytes_for(windows: Sequence[Window], cfg: FinderConfig) -> float:
 
 def in_order(triples: NDArray[np.float32]) -> list[NDArray[np.float32]]:
     """Give for each window the triples (N, 5) of all corners (B, P, most, 4), best first."""
-    window, corner, place = np.nonzero(triples[..., 0])
-    found = triples[window, corner, place]
+    _, peaks, most, _ = triples.shape
+    rows = triples.reshape(-1, 4)
+    place = np.flatnonzero(rows[:, 0])
+    found, corner = rows[place], place // most
+    window = corner // peaks
     order = np.lexsort((-found[:, 0], window))
-    ordered = np.column_stack([found[:, 0], corner, found[:, 1:]]).astype(np.float32)[order]
+    ordered = np.empty((len(place), 5), np.float32)
+    ordered[:, 0], ordered[:, 1], ordered[:, 2:] = found[:, 0], corner % peaks, found[:, 1:]
+    ordered = ordered[order]
     ends = np.searchsorted(window, np.arange(len(triples)), side="right").tolist()
     return [ordered[first:end] for first, end in pairwise([0, *ends])]
 

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
@@ -12,34 +11,58 @@ from evqr.search.models import sizes
 from evqr.symbol.space import CodeSpace
 from evqr.symbol.symbols import space_of
 
+ROW = np.dtype(
+    [("pose", np.float64, (3, 3)), ("size", np.intp), ("peaks", np.intp, (3,)), ("inverted", np.bool_)],
+    align=True,
+)
+"""A hypothesis.  All of it is in one array: Python's lock is let go once where some are picked."""
 
-@dataclass(frozen=True, eq=False)
+
 class Hypotheses:
-    """N codes that finder patterns of one window could belong to.
+    """N codes that finder patterns of one window could belong to: a `ROW` each."""
 
-    Attributes
-    ----------
-    size : (N,) intp
-        Kind and size of the code: which of `evqr.search.models.sizes`.
-    pose : (N, 3, 3) float64
-        Code coordinates to px, affine.
-    peaks : (N, 3) intp
-        The finder patterns: at the corner, along u and along v; three times the same where there is one.
-    inverted : (N,) bool
-        Light modules on dark.
-    """
+    def __init__(self, table: NDArray[np.void]) -> None:
+        self.table = table
 
-    size: NDArray[np.intp]
-    pose: NDArray[np.float64]
-    peaks: NDArray[np.intp]
-    inverted: NDArray[np.bool_]
+    @classmethod
+    def of(
+        cls,
+        size: NDArray[np.intp],
+        pose: NDArray[np.float64],
+        peaks: NDArray[np.intp],
+        inverted: NDArray[np.bool_],
+    ) -> Hypotheses:
+        """Put columns together."""
+        table = np.empty(len(size), ROW)
+        table["size"], table["pose"], table["peaks"], table["inverted"] = size, pose, peaks, inverted
+        return cls(table)
+
+    @property
+    def size(self) -> NDArray[np.intp]:
+        """Kind and size of the code (N,): which of `evqr.search.models.sizes`."""
+        return self.table["size"]
+
+    @property
+    def pose(self) -> NDArray[np.float64]:
+        """Code coordinates to px (N, 3, 3), affine."""
+        return self.table["pose"]
+
+    @property
+    def peaks(self) -> NDArray[np.intp]:
+        """The finder patterns (N, 3): at the corner, along u and along v; or three times the only one."""
+        return self.table["peaks"]
+
+    @property
+    def inverted(self) -> NDArray[np.bool_]:
+        """Light modules on dark (N,)."""
+        return self.table["inverted"]
 
     def __len__(self) -> int:
-        return len(self.size)
+        return len(self.table)
 
     def __getitem__(self, which: slice | NDArray) -> Hypotheses:
         """Give some of them."""
-        return Hypotheses(self.size[which], self.pose[which], self.peaks[which], self.inverted[which])
+        return Hypotheses(self.table[which])
 
     @classmethod
     def joined(cls, parts: Sequence[Hypotheses]) -> Hypotheses:
@@ -47,8 +70,7 @@ class Hypotheses:
         some = [part for part in parts if len(part)]
         if len(some) < 2:
             return (some or parts)[0]
-        columns = zip(*((part.size, part.pose, part.peaks, part.inverted) for part in some), strict=True)
-        return cls(*(np.concatenate(column) for column in columns))
+        return cls(np.concatenate([part.table for part in some]))
 
     @property
     def single(self) -> bool:

@@ -97,6 +97,37 @@ def layout_of(levels: tuple[Level, ...], cfg: FinderConfig) -> Layout:
     return Layout(closed(rows), closed(sizes))
 
 
+class Places:
+    """Where poses are in the images of a pyramid: each in a part of one, a level and the zeros around it.
+
+    A pose is relative to its part: where a level lies depends on the windows beside.
+
+    Attributes
+    ----------
+    image_idx : (N,) int32
+        The window of each.
+    image_part : (N, 3) int32
+        First row, rows and columns of the part.
+    """
+
+    def __init__(self, window: NDArray[np.intp], level: NDArray[np.float64]) -> None:
+        self.image_idx = window.astype(np.int32)
+        self.image_part = level[:, :3].astype(np.int32)
+        self._cell, self._shift = level[:, 3, None, None], level[:, 4:, None]
+
+    def in_cells(self, pose: NDArray[np.float64]) -> NDArray[np.float64]:
+        """Give poses (N, 3, 3) in px of the sensor as such in cells of their parts."""
+        made = pose.copy()
+        made[:, :2] = pose[:, :2] / self._cell + self._shift * pose[:, 2:]
+        return made
+
+    def in_px(self, pose: NDArray[np.float64]) -> NDArray[np.float64]:
+        """Give poses (N, 3, 3) in cells as such in px, the last number of each 1."""
+        made = pose / pose[:, 2:, 2:]
+        made[:, :2] = (made[:, :2] - self._shift * made[:, 2:]) * self._cell
+        return made
+
+
 class Pyramid(Step):
     """The levels over regions of windows.
 
@@ -110,9 +141,6 @@ class Pyramid(Step):
         One image a window, all of its levels; until the next search in a region of this size.
     busy : (B,) float32, on the device
         Cells of the finest level that are not 0.
-    parts : (B, K, 3) int32
-        First row, rows and columns of the part of its image that a window's level and the zeros around it
-        take.  A pose is relative to it: where the level lies depends on the windows beside.
     """
 
     def __init__(
@@ -130,9 +158,8 @@ class Pyramid(Step):
         self.levels = levels_of(rows, columns, cfg)
         self.layout = layout_of(self.levels, cfg)
         self.regions: list[Region] = []
-        self.parts = np.zeros((count, len(self.levels), 3), np.int32)
-        self._deepest = np.zeros(count, np.intp)
-        self._corners = np.zeros((0, 2))
+        # of every level of every window its part of the image, the size of a cell, and where the corner lies
+        self._levels = np.zeros((count * len(self.levels), 6))
         height, width = len(self.layout.rows) + 2 * cfg.half, columns + 2 * cfg.half
         self._whole = workspace.empty(count, height, width)
         workspace.backend.clear(self._whole)
@@ -154,14 +181,15 @@ class Pyramid(Step):
         cells = [region.cell for region in regions]
         lags = [lag or (on * cell, off * cell) for lag, cell in zip(lags_px, cells, strict=True)]
         self.regions = list(regions)
-        self._corners = np.array([(region.x, region.y) for region in regions])
-        around = 2 * self._cfg.half
-        self.parts[...] = 0
-        for k, region in enumerate(regions):
-            own = levels_of(region.height, region.width, self._cfg)
-            self._deepest[k] = max(len(own) - 1, 0)
-            for n, (level, place) in enumerate(zip(own, self.levels, strict=False)):
-                self.parts[k, n] = place.top - self._cfg.half, level.rows + around, level.columns + around
+        half, rows = self._cfg.half, []
+        for region in regions:
+            own = levels_of(region.height, region.width, self._cfg) or self.levels[:1]
+            for k in range(len(self.levels)):
+                k = min(k, len(own) - 1)  # what would be on a coarser one is on the coarsest there is
+                level, top = own[k], self.levels[k].top - half
+                shift = half - 0.5 - region.x / level.cell, half - 0.5 - region.y / level.cell
+                rows.append((top, level.rows + 2 * half, level.columns + 2 * half, level.cell, *shift))
+        self._levels[: len(rows)] = rows
         self._deposit.write(batch, motions, regions)
         self._sharpen.write(motions, regions, lags)
 
@@ -182,35 +210,13 @@ class Pyramid(Step):
                 backend.reduce_image(finer, cfg.scale_ratio, *scratch, image)
             finer = image
 
-    def from_px(self, window: NDArray[np.intp], level: NDArray[np.intp]) -> NDArray[np.float64]:
-        """Give maps (N, 3, 3) of px to cells of `parts`, for the windows and levels (N,) of some poses."""
-        cell, shift = self._maps(window, level)
-        maps = np.zeros((len(cell), 3, 3))
-        maps[:, 0, 0] = maps[:, 1, 1] = 1.0 / cell
-        maps[:, :2, 2] = shift
-        maps[:, 2, 2] = 1.0
-        return maps
+    def places(self, window: NDArray[np.intp], pose: NDArray[np.float64], cells_a_module: float) -> Places:
+        """Give the places of affine poses (N, 3, 3) [px] in windows (N,).
 
-    def to_px(self, window: NDArray[np.intp], level: NDArray[np.intp]) -> NDArray[np.float64]:
-        """Give maps (N, 3, 3) of cells of `parts` to px."""
-        cell, shift = self._maps(window, level)
-        maps = np.zeros((len(cell), 3, 3))
-        maps[:, 0, 0] = maps[:, 1, 1] = cell
-        maps[:, :2, 2] = -shift * cell[:, None]
-        maps[:, 2, 2] = 1.0
-        return maps
-
-    def _maps(
-        self, window: NDArray[np.intp], level: NDArray[np.intp]
-    ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-        """Size of a cell (N,) [px], and where the first pixel lies (N, 2) [cells]."""
-        cell = self.layout.sizes[level, 0].astype(np.float64)
-        return cell, self._cfg.half - 0.5 - self._corners[window] / cell[:, None]
-
-    def level_for(
-        self, window: NDArray[np.intp], pose: NDArray[np.float64], cells_a_module: float
-    ) -> NDArray[np.intp]:
-        """Give the levels (N,) on which modules of affine poses (N, 3, 3) [px] have so many cells, nearly."""
-        size = np.sqrt(np.abs(pose[:, 0, 0] * pose[:, 1, 1] - pose[:, 0, 1] * pose[:, 1, 0]))
-        steps = np.log(size / cells_a_module / self.levels[0].cell) / math.log(self._cfg.scale_ratio)
-        return np.clip(np.round(steps), 0, self._deepest[window]).astype(np.intp)
+        Each is on the level on which its modules have so many cells, nearly.
+        """
+        size = np.abs(pose[:, 0, 0] * pose[:, 1, 1] - pose[:, 0, 1] * pose[:, 1, 0])
+        steps = np.log(size) * (0.5 / math.log(self._cfg.scale_ratio))
+        first = math.log(cells_a_module * self.levels[0].cell) / math.log(self._cfg.scale_ratio)
+        level = np.minimum(np.maximum(np.round(steps - first), 0.0), len(self.levels) - 1)
+        return Places(window, self._levels[window * len(self.levels) + level.astype(np.intp)])

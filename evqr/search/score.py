@@ -6,9 +6,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from evqr.config import AlignConfig
-from evqr.geometry import compose
 from evqr.search.models import models
-from evqr.search.pyramid import Pyramid
+from evqr.search.pyramid import Places, Pyramid
 from evqr.workspace import Images, Step, Workspace
 
 LEAST_ROOM = 64
@@ -30,14 +29,10 @@ class Score(Step):
         self._ptr = workspace.table(("model ptr",), known.ptr)
         self._points = workspace.table(("model points",), known.points)
 
-    def write(
-        self, window: NDArray[np.intp], part: NDArray[np.int32], size: NDArray[np.intp],
-        pose: NDArray[np.float64],
-    ) -> None:  # fmt: skip
-        """Say which poses [cells] of which sizes, in which parts of images; other rows are of nothing."""
+    def write(self, places: Places, size: NDArray[np.intp], pose: NDArray[np.float64]) -> None:
+        """Say which poses [cells] of which sizes, and where they are; other rows are of nothing."""
         count = len(size)
-        self._window.host[:count], self._window.host[count:] = window, 0
-        self._part.host[:count], self._part.host[count:] = part, 0
+        self._window.host[:count], self._part.host[:count] = places.image_idx, places.image_part
         self._size.host[:count], self._size.host[count:] = size, self._nothing
         self._pose.host[:count] = pose.reshape(-1, 9)
 
@@ -88,8 +83,7 @@ def score(
     step = pyramid.images.once(
         ("score", room, cfg.ridge), lambda: Score(pyramid.images, room, cfg, workspace)
     )
-    level = pyramid.level_for(window, pose, cfg.cells_a_module)
-    part = pyramid.parts[window, level]
-    step.write(window, part, size, compose(pyramid.from_px(window, level), pose))
+    places = pyramid.places(window, pose, cfg.cells_a_module)
+    step.write(places, size, places.in_cells(pose))
     step.run()
     return step.read()[: len(size), 1:].copy()

@@ -13,7 +13,6 @@ from numpy.typing import NDArray
 
 from evqr.config import AlignConfig
 from evqr.fit.align import align, coarse_levels
-from evqr.geometry import compose
 from evqr.search.hypothesis import Hypotheses
 from evqr.search.pyramid import Pyramid
 from evqr.symbol.space import CodeSpace
@@ -70,21 +69,18 @@ def screen(
     candidates : list of Candidate
         In the same order.
     """
-    windows = np.asarray(window, np.intp)
-    level = pyramid.level_for(windows, hypotheses.pose, cfg.cells_a_module)
-    start = compose(pyramid.from_px(windows, level), hypotheses.pose)
+    places = pyramid.places(np.asarray(window, np.intp), hypotheses.pose, cfg.cells_a_module)
     spaces = [hypotheses.space(k) for k in range(len(hypotheses))]
     found = align(
         pyramid.images,
-        start,
+        places.in_cells(hypotheses.pose),
         spaces,
         coarse_levels(cfg),
         cfg,
         workspace=workspace,
-        image_idx=windows.astype(np.int32),
-        image_part=pyramid.parts[windows, level],
+        image_idx=places.image_idx,
+        image_part=places.image_part,
     )
-    poses = compose(pyramid.to_px(windows, level), found.pose)
-    poses /= poses[:, 2:, 2:]
     scores, iterations = found.score.tolist(), found.iterations.tolist()
+    poses = places.in_px(found.pose)
     return [Candidate(*one) for one in zip(spaces, poses, scores, iterations, strict=True)]

@@ -147,7 +147,7 @@ def codes_of_singles(
     pose[:, 0, 0], pose[:, 0, 1], pose[:, 1, 0], pose[:, 1, 1] = cos, -sin, sin, cos
     pose[:, 0, 2], pose[:, 1, 2] = x - 4.5 * (cos - sin), y - 4.5 * (sin + cos)
     pose[:, 2, 2] = 1.0
-    level = pyramid.level_for(window, pose, cfg.cells_a_module)
+    places = pyramid.places(window, pose, cfg.cells_a_module)
     codes, images, count = Codes.of(workspace), pyramid.images, count_for(len(peaks))
     numbers = [codes.number(_pattern())] * len(peaks)
     tables = [codes.poses(each, cfg, numbers) for each in LEVELS]
@@ -155,12 +155,9 @@ def codes_of_singles(
         ("finder patterns", count, cfg, tuple(each.version for each in tables)),
         lambda: Align(images, count, tables, cfg.max_iterations, workspace),
     )
-    step.write(
-        compose(pyramid.from_px(window, level), pose), window.astype(np.int32), numbers,
-        pyramid.parts[window, level],
-    )  # fmt: skip
+    step.write(places.in_cells(pose), places.image_idx, numbers, places.image_part)
     step.run()
-    refined = compose(pyramid.to_px(window, level), step.read().pose)
+    refined = places.in_px(step.read().pose)
     refined = _as_seen(refined, direction)
     alone, of_alone = _hypotheses(refined, *_single(symbologies), peaks, which, window)
     begun, of_begun = _hypotheses(refined, *_heads(symbologies), peaks, which, window)
@@ -180,7 +177,7 @@ def _hypotheses(
 ) -> tuple[Hypotheses, NDArray[np.intp]]:
     """Give every size at every place (P, SHIFTS, 3, 3) of every pattern, and the window of each."""
     count = SHIFTS * len(size)
-    made = Hypotheses(
+    made = Hypotheses.of(
         np.tile(size, SHIFTS * len(patterns)),
         compose(patterns[:, :, None], turns).reshape(-1, 3, 3),
         np.repeat(which, 3 * count).reshape(-1, 3),
@@ -216,7 +213,7 @@ def _grown(
     wider = [heads()[size] for size in chosen.size[head].tolist()]
     row = np.repeat(np.arange(len(head)), [len(some) for some in wider])
     of = head[row]
-    grown = Hypotheses(np.concatenate(wider), pose[row], chosen.peaks[of], chosen.inverted[of])
+    grown = Hypotheses.of(np.concatenate(wider), pose[row], chosen.peaks[of], chosen.inverted[of])
     return grown, window[best][of]
 
 

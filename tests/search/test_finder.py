@@ -133,13 +133,15 @@ def test_pyramid_levels_show_the_same_place(workspace):
     _, pyramid = find_patterns(EventBatch.of([part]), [motion], CONFIG, workspace=workspace)
     whole = workspace.get(pyramid.images.device)[0].astype(np.float64)
     count = len(pyramid.levels)
-    to_px = pyramid.to_px(np.zeros(count, np.intp), np.arange(count))
-    centres = []
-    for (top, height, width), back in zip(pyramid.parts[0].tolist(), to_px, strict=True):
+    modules = np.array([level.cell for level in pyramid.levels])[:, None, None] * np.eye(3)
+    places = pyramid.places(np.zeros(count, np.intp), modules, 1.0)
+    centre = np.tile(np.eye(3), (count, 1, 1))
+    for (top, height, width), of_level in zip(places.image_part.tolist(), centre, strict=True):
         image = whole[top : top + height, :width]
         rows, columns = np.mgrid[:height, :width]
-        mean = np.array([(columns * image).sum(), (rows * image).sum(), image.sum()]) / image.sum()
-        centres.append((back @ mean)[:2])
+        of_level[:2, 2] = np.array([(columns * image).sum(), (rows * image).sum()]) / image.sum()
+    np.testing.assert_allclose(places.in_cells(places.in_px(centre)), centre, atol=1e-9)
+    centres = places.in_px(centre)[:, :2, 2]
     # The finest level has its strongest cells clipped; half a cell of the coarsest would be 9 px.
     np.testing.assert_allclose(centres, np.broadcast_to(centres[-1], (count, 2)), atol=0.3)
 

@@ -29,7 +29,7 @@ def at_poses(versions, poses):
     """Hypotheses without finder patterns of their own."""
     of_version = {size.version: k for k, size in enumerate(sizes())}
     count = len(versions)
-    return Hypotheses(
+    return Hypotheses.of(
         np.array([of_version[version] for version in versions]),
         np.array(poses),
         np.zeros((count, 3), np.intp),
