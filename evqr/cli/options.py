@@ -121,7 +121,9 @@ def in_options(message: str) -> str:
         name, value = found[1].replace("_", "-"), found[2] or found[3] or ""
         return f"--{name} {shlex.quote(value) if ' ' in value else value}".rstrip()
 
-    return re.sub(rf"""\b({"|".join([*_OPENING, "speed"])})=(?:"([^"]*)"|'([^']*)')?""", option, message)
+    return re.sub(
+        rf"""\b({"|".join([*_OPENING, "speed", "repeat"])})=(?:"([^"]*)"|'([^']*)')?""", option, message
+    )
 
 
 def be_quiet(quiet: bool) -> None:

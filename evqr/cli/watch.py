@@ -74,6 +74,7 @@ IN_STREAM = "stream"
     metavar="X",
     help="Play a recording so many times as fast as it was; default: as fast as it is read.",
 )
+@click.option("--repeat", is_flag=True, help="Play a recording again and again, until SIGTERM or Ctrl-C.")
 @click.option("--quiet", is_flag=True, help="No notes and warnings; errors are told.")
 @recording_options
 @config_options
@@ -95,6 +96,7 @@ def watch(
     trigger: str | None,
     pulse_us: tuple[int, int] | None,
     speed: float | None,
+    repeat: bool,
     quiet: bool,
     opening: RecordingOptions,
     config: ReadConfig,
@@ -121,9 +123,9 @@ def watch(
     if example or schema:
         return _print(example=example)
     if settings is not None:
-        if source is not None or trigger is not None or speed is not None:
+        if source is not None or trigger is not None or speed is not None or repeat:
             raise UsageError(
-                "--config has source and triggers in its file: leave out SOURCE, --trigger, --speed"
+                "--config has source and triggers in its file: leave out SOURCE, --trigger, --speed, --repeat"
             )
         return _serve(settings, check=check, as_json=as_json)
     if source is None:
@@ -143,7 +145,7 @@ def watch(
     try:
         in_stream = trigger == IN_STREAM
         with (
-            opened_source(source, speed=speed, in_stream=in_stream, **opening) as opened,
+            opened_source(source, speed=speed, repeat=repeat, in_stream=in_stream, **opening) as opened,
             _stopped_by_sigterm(opened) as stopped,
         ):
             for record in feed(opened, make, triggers, in_stream=in_stream, seen=_tell_interruption(source)):

@@ -27,7 +27,12 @@ _LOG = logging.getLogger(__name__)
 
 @contextmanager
 def opened_source(
-    where: str, *, speed: float | None = None, in_stream: bool = False, **opening: Unpack[RecordingOptions]
+    where: str,
+    *,
+    speed: float | None = None,
+    repeat: bool = False,
+    in_stream: bool = False,
+    **opening: Unpack[RecordingOptions],
 ) -> Iterator[LiveSource]:
     """Open a live source, or a recording that is played; what was odd about a recording is logged at its end.
 
@@ -35,7 +40,7 @@ def opened_source(
     ----------
     where : str
         As of `live_source`, or a path, which goes before it.
-    speed : float, optional
+    speed, repeat : float, bool
         Of a recording, as of `Playing`.
     in_stream : bool
         The triggers that are in a recording are wanted.
@@ -54,12 +59,13 @@ def opened_source(
     """
     source = live_source(where)
     if source is not None:
-        if speed is not None:
-            raise UsageError(f"{where}: speed= is for recordings: a live source has its own")
+        if speed is not None or repeat:
+            option = "repeat=" if speed is None else "speed="
+            raise UsageError(f"{where}: {option} is for recordings: a live source comes as it does")
         yield source
         return
     with open_recording(where, **opening) as recording:
-        yield Playing(recording, where, speed=speed, triggers=in_stream)
+        yield Playing(recording, where, speed=speed, repeat=repeat, triggers=in_stream)
         for text in recording.notes:
             _LOG.warning("%s: %s", where, text)
 

@@ -116,7 +116,11 @@ class Service:
             in_stream = self._settings.triggers is TriggerSource.STREAM
             source = self._source = stack.enter_context(
                 opened_source(
-                    settings.where, speed=settings.speed, in_stream=in_stream, sensor=settings.sensor
+                    settings.where,
+                    speed=settings.speed,
+                    repeat=settings.repeat,
+                    in_stream=in_stream,
+                    sensor=settings.sensor,
                 )
             )
             if self._stopped:

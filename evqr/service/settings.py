@@ -41,12 +41,15 @@ class SourceSettings(Settings):
         ``camera``, ``camera:SERIAL``, or ``dv://HOST:PORT``.
     speed : float, optional
         Of a recording: time of it over time. Default: as fast as it is read.
+    repeat : bool
+        Play a recording again and again. Chosen: once.
     sensor : str, optional
         Size, as 640x480, of a recording that does not tell. Default: as it tells.
     """
 
     where: str = ""
     speed: Positive | None = None
+    repeat: bool = False
     sensor: str | None = None
 
 

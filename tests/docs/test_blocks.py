@@ -8,9 +8,16 @@ line.
 
 import contextlib
 import io
+import json
+import os
 import re
 import shlex
+import signal
+import socket
+import threading
+import time
 from pathlib import Path
+from urllib.request import urlopen
 
 import pytest
 
@@ -23,12 +30,14 @@ PAGES += sorted(path for room in ("tutorials", "how-to") for path in (ROOT / "do
 
 BLOCK = re.compile(r"^```(\w+)\n(.*?)^```$", re.MULTILINE | re.DOTALL)
 EXITS = re.compile(r"# exits with (\d+)")
+UNTIL = "# until Ctrl-C"
+PAGE_PORT = "8080"
 
 RECORDINGS = ("line3.raw", "line3.h5", "shift1.h5", "shift2.h5", "shift1/a.h5")
 """What README reads: all of them the demo's, since the name of a file says nothing."""
 
 ELSEWHERE = (
-    re.compile(r'python3 -m venv \.venv && \.venv/bin/pip install -q -e "\.\[\w+\]"( && \.venv/bin/.*)?'),
+    re.compile(r'python3 -m venv \.venv && \.venv/bin/pip install -q -e "\.\[[\w,]+\]"( && \.venv/bin/.*)?'),
     re.compile(r'(\.venv/bin/)?pip install (-e )?"(evqr|\.)(\[[\w,]+\])?"'),
     re.compile(r"\.venv/bin/evqr demo"),
     re.compile(r"podman .*"),
@@ -51,12 +60,34 @@ def arguments_of(line):
     return shlex.split(re.sub(r"--jobs \d+", "", line), comments=True)[1:]
 
 
-def run_shell(block):
+def free_port():
+    with socket.create_server(("127.0.0.1", 0)) as listening:
+        return str(listening.getsockname()[1])
+
+
+def stop_once_a_part_is_not_read(port):
+    """Look at the page of a service that is about to run, and end it as a supervisor would."""
+
+    def look():
+        until = time.monotonic() + 60.0
+        while time.monotonic() < until:
+            time.sleep(0.2)
+            with contextlib.suppress(OSError), urlopen(f"http://127.0.0.1:{port}/api/state") as answer:
+                if json.load(answer)["counts"].get("parts_not_read"):
+                    break
+        os.kill(os.getpid(), signal.SIGTERM)
+
+    threading.Thread(target=look).start()
+
+
+def run_shell(block, port):
     for line in commands(block):
         if any(each.fullmatch(line) for each in ELSEWHERE):
             continue
         assert line.startswith("evqr "), f"nothing runs {line!r}"
         told = EXITS.search(line)
+        if line.endswith(UNTIL):
+            stop_once_a_part_is_not_read(port)
         assert run(arguments_of(line)) == (int(told[1]) if told else 0), line
 
 
@@ -82,15 +113,16 @@ def test_every_block_runs(page, tmp_path, monkeypatch):
         for name in RECORDINGS if page.name == "README.md" else ():
             Path(name).parent.mkdir(exist_ok=True)
             Path(name).write_bytes(demo.read_bytes())
-    names, printed = {"__name__": "__main__"}, ""
+    names, printed, port = {"__name__": "__main__"}, "", free_port()
     for language, block in blocks_of(page):
+        block = block.replace(PAGE_PORT, port)
         if language == "text":
             assert is_said(block, printed), f"{block}\n  is not among\n{printed}"
             continue
         assert language in ("python", "sh"), f"{page.name}: nothing runs {language}"
         with contextlib.redirect_stdout(io.StringIO()) as said:
             if language == "sh":
-                run_shell(block)
+                run_shell(block, port)
             else:
                 exec(compile(block, str(page), "exec"), names)
         printed = said.getvalue()

@@ -87,7 +87,7 @@ function drawView(view, last) {
     for (let k = 0; k < cells.length; k++) {
       const value = (cells[k] << 24) >> 24;
       if (value === 0 || value > 0 !== wanted) continue;
-      context.globalAlpha = Math.min(1, Math.abs(value) / 3);
+      context.globalAlpha = Math.min(1, 0.35 + Math.abs(value) / 4);
       context.fillRect(k % view.columns, Math.floor(k / view.columns), 1, 1);
     }
   }
@@ -104,7 +104,7 @@ function drawView(view, last) {
 
 function drawModules(rows) {
   const canvas = at("modules");
-  canvas.hidden = rows.length === 0;
+  at("of-modules").hidden = rows.length === 0;
   if (!rows.length) return;
   const quiet = 2;
   canvas.width = rows[0].length + 2 * quiet;
@@ -155,21 +155,31 @@ function said(part) {
   return marked("NO READ", "bad-text");
 }
 
+function fill(id, rows, columns, without) {
+  if (!rows.length) {
+    const made = row([marked(without, "none")]);
+    made.firstChild.colSpan = columns;
+    rows = [made];
+  }
+  at(id).replaceChildren(...rows);
+}
+
 function drawTables(state) {
-  at("parts").replaceChildren(...state.parts.map((part) =>
-    row([part.part, part.trigger, said(part), part.latency_ms === null ? "" : part.latency_ms.toFixed(1), clock(part.t_utc)])));
-  at("no-reads").replaceChildren(...state.no_reads.map((part) => {
+  fill("parts", state.parts.map((part) =>
+    row([part.part, part.trigger, said(part), part.latency_ms === null ? "" : part.latency_ms.toFixed(1), clock(part.t_utc)])),
+    5, "no part has passed yet");
+  fill("no-reads", state.no_reads.map((part) => {
     const links = document.createElement("span");
     if (part.file) {
       const name = "no-reads/" + encodeURIComponent(part.file);
       links.append(link(name + "/picture", "picture"), " ", link(name + "/events", "events"));
     }
     return row([part.part, part.trigger, part.reason, links]);
-  }));
+  }), 4, "all parts were read");
   say("reasons", Object.entries(state.reasons).map(([code, count]) => `${code.replaceAll("_", " ")}: ${count}`).join(", "));
-  at("sinks").replaceChildren(...(state.sinks.length ? state.sinks.map((sink) =>
-    row([sink.name, sink.up ? marked("up", "good-text") : marked(sink.error, "bad-text"), sink.delivered, sink.waiting, sink.lost]))
-    : [row(["standard output alone"])]));
+  fill("sinks", state.sinks.map((sink) =>
+    row([sink.name, sink.up ? marked("up", "good-text") : marked(sink.error, "bad-text"), sink.delivered, sink.waiting, sink.lost])),
+    5, "standard output alone");
 }
 
 // ---- all of it
@@ -180,6 +190,7 @@ function draw(state) {
   say("line", state.line || "evqr");
   say("status", good ? "ready" : "not ready");
   at("status").className = good ? "good" : "bad";
+  say("source", state.source ? "reads " + state.source : "");
   at("problems").hidden = good;
   at("problems").replaceChildren(...state.problems.map((text) => {
     const made = document.createElement("li");
