@@ -10,6 +10,7 @@ in Python, or by NumPy's own loops.
 from __future__ import annotations
 
 import math
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -108,6 +109,46 @@ def bounds(
     """Left, top, right and bottom end of a code in the image, with a margin around it [modules] [px]."""
     x, y = _corners(pose, shape, margin)
     return min(x), min(y), max(x), max(y)
+
+
+def bounds_each(
+    pose: NDArray[np.float64], shape: NDArray[Any], margin: NDArray[Any]
+) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """Give where codes begin and end in their images, each with a margin around it.
+
+    Parameters
+    ----------
+    pose : (N, 3, 3) float64
+        Code coordinates to px.
+    shape : (N, 2) int [modules]
+        Rows and columns of the codes.
+    margin : (N,) float [modules]
+        Around them.
+
+    Returns
+    -------
+    begin, end : (N, 2) float64 [px]
+        Left and top, right and bottom.
+    """
+    corners = np.ones((len(pose), 3, 4))
+    corners[:, :2] = -margin[:, None, None]
+    corners[:, 0, 1:3] = (shape[:, 1] + margin)[:, None]
+    corners[:, 1, 2:] = (shape[:, 0] + margin)[:, None]
+    seen = np.einsum("nij,njk->nik", pose, corners)
+    at = seen[:, :2] / seen[:, 2:]
+    return at.min(axis=2), at.max(axis=2)
+
+
+def module_px_each(pose: NDArray[np.float64], shape: NDArray[Any]) -> NDArray[np.float64]:
+    """Sizes (N,) of a module at the centres of codes (N, 3, 3) of shapes (N, 2) [px]."""
+    centre = np.ones((len(pose), 3))
+    centre[:, :2] = 0.5 * shape[:, ::-1]
+    at = np.einsum("nij,nj->ni", pose, centre)
+    at /= at[:, 2:].copy()
+    # the Jacobian times what all is divided by
+    slopes = pose[:, :2, :2] - at[:, :2, None] * pose[:, 2:, :2]
+    area = slopes[:, 0, 0] * slopes[:, 1, 1] - slopes[:, 0, 1] * slopes[:, 1, 0]
+    return np.sqrt(np.abs(area)) / np.abs(np.einsum("ni,ni->n", pose[:, 2], centre))
 
 
 def at_centre(

@@ -13,6 +13,7 @@ its inverse.
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import Any
@@ -298,3 +299,50 @@ class Motion(Value):
             Whole microseconds.
         """
         return int(min(max(self.travel_time_us(travel_px), SHORTEST_WINDOW_US), longest_us))
+
+
+@dataclass(frozen=True, eq=False)
+class Motions:
+    """Motions side by side, each the same everywhere in its image.
+
+    Attributes
+    ----------
+    velocity : (N, 2) float64 [px/s]
+        Of each.
+    """
+
+    velocity: NDArray[np.float64]
+
+    @classmethod
+    def of(cls, motions: Sequence[Motion]) -> Motions:
+        """Put motions side by side.
+
+        Parameters
+        ----------
+        motions : sequence of Motion
+            At least one.
+
+        Returns
+        -------
+        motions : Motions
+            Of any times.
+
+        Raises
+        ------
+        NotImplementedError
+            If one is not the same everywhere.
+        """
+        parameters = [motion.parameters for motion in motions]
+        if any(len(each) != 2 for each in parameters):
+            raise NotImplementedError("events are deposited for motions of 2 parameters, got 6")
+        return cls(np.concatenate(parameters).reshape(-1, 2))
+
+    @cached_property
+    def speed(self) -> NDArray[np.float64]:
+        """Lengths (N,) of the velocities [px/s]."""
+        return np.hypot(self.velocity[:, 0], self.velocity[:, 1])
+
+    @property
+    def direction(self) -> NDArray[np.float64]:
+        """The velocities (N, 2), divided by their lengths; 0 where nothing moves."""
+        return self.velocity / np.maximum(self.speed, SLOWEST_PX_PER_S)[:, None]

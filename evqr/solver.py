@@ -19,7 +19,7 @@ from evqr.events.window import Window
 from evqr.fit.detection import Detection, NotFound
 from evqr.fit.measure import measure
 from evqr.fit.modules import CodeEstimate, NormalEquations, solve_modules, weight_of
-from evqr.fit.region import region_around
+from evqr.fit.targets import Targets
 from evqr.launched import LAUNCHED
 from evqr.motion import Motion
 from evqr.reason import Reason
@@ -229,11 +229,9 @@ class Solver:
             return []
         clock, one = StageClock(), self.config.align
         with clock("stage_one"):
-            targets = [
-                detection.at(window.middle_us)
-                for window, detection in zip(batch.windows, detections, strict=True)
-            ]
-            regions = [region_around(target.pose, target.space, one) for target in targets]
+            times_us = [window.middle_us for window in batch.windows]
+            targets = Targets([detection.target for detection in detections], times_us)
+            regions = targets.regions(one)
             measured = measure(
                 batch, targets, regions, self.config, workspace=self.workspace, before=before
             )  # fmt: skip

@@ -117,6 +117,11 @@ class Align(Step):
         return self._image_idx.device
 
     @property
+    def image_part(self) -> Any:
+        """Parts of the images (N, 3) on the device."""
+        return self._image_part.device
+
+    @property
     def pose(self) -> Any:
         """Poses (N, 9) on the device."""
         return self._pose.device
@@ -187,12 +192,10 @@ class Beyond(Step):
         self._number = staging.input((count,), np.int32)
         self._result = staging.output((count, 5))
 
-    def write(self, spaces: Sequence[CodeSpace], numbers: Sequence[int]) -> None:
-        """Say which codes: those with several finder patterns are not looked at."""
-        self._single = [k for k, space in enumerate(spaces) if space.single_pattern]
-        single = np.zeros(len(numbers), np.int32)
-        single[self._single] = [numbers[k] for k in self._single]
-        self._number.fill(single)
+    def write(self, single: NDArray[np.bool_], numbers: Sequence[int]) -> None:
+        """Say which codes, and which of them are looked at: those with a single finder pattern."""
+        self._single = np.flatnonzero(single)
+        self._number.fill(np.where(single, numbers, 0))
 
     def launch(self) -> None:
         """Launch the kernels one by one."""

@@ -7,15 +7,16 @@ first, and what lies beyond them is 0.
 from __future__ import annotations
 
 import functools
-from collections.abc import Sequence
+import operator
 from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from evqr.events.batch import EventBatch
-from evqr.fit.region import GRAIN, Region
-from evqr.motion import Motion
+from evqr.events.window import Window
+from evqr.fit.region import GRAIN, Regions
+from evqr.motion import Motions
 from evqr.workspace import EventRoom, Images, Keeper, Staging, Step, Workspace
 
 COARSE_GRAIN = 4 * GRAIN
@@ -33,15 +34,17 @@ class Cells(Keeper):
 
     def __init__(self, count: int, height: int, width: int, workspace: Workspace) -> None:
         self.device = workspace.empty(count, 2, height, width)
-        self._held: tuple[Any, ...] = ()
+        self._held: tuple[tuple[Window, ...], Motions, Regions] | None = None
 
-    def take(self, batch: EventBatch, motions: Sequence[Motion], regions: Sequence[Region]) -> bool:
+    def take(self, batch: EventBatch, motions: Motions, regions: Regions) -> bool:
         """Tell whether these events are to be deposited: not where the same were the last time."""
-        held = (*batch.windows, *motions, *regions)
-        if len(held) == len(self._held) and all(map(_is, held, self._held)):
-            return False
-        self._held = held
-        return True
+        held, self._held = self._held, (batch.windows, motions, regions)
+        return held is None or not (
+            len(held[0]) == len(batch)
+            and all(map(operator.is_, held[0], batch.windows))
+            and np.array_equal(held[1].velocity, motions.velocity)
+            and np.array_equal(held[2], regions)
+        )
 
 
 class Deposit(Step):
@@ -60,18 +63,14 @@ class Deposit(Step):
         self._frame = self._staging.input((count, 3), value=1.0)
         self._extent = self._staging.input((count, 2), np.int32)
 
-    def write(self, batch: EventBatch, motions: Sequence[Motion], regions: Sequence[Region]) -> None:
+    def write(self, batch: EventBatch, motions: Motions, regions: Regions) -> None:
         """Say which events, how they move and where the cells are, a window a row."""
-        for motion in motions:
-            if not motion.uniform:
-                raise NotImplementedError("events are deposited for motions of 2 parameters, got 6")
-        placed = np.array(regions)
         self._ptr.fill(batch.window_ptr)
         self._t_ref.fill(batch.t_ref_us)
         # times on the device are in microseconds
-        self._motion.fill(np.array([motion.parameters for motion in motions]) * 1e-6)
-        self._frame.host[: len(placed)] = placed[:, :3] + (0.5, 0.5, 0.0)
-        self._extent.fill(placed[:, 3:])
+        self._motion.fill(motions.velocity * 1e-6)
+        self._frame.host[: len(regions)] = regions[:, :3] + (0.5, 0.5, 0.0)
+        self._extent.fill(regions[:, 3:])
 
     def launch(self) -> None:
         """Launch the kernels one by one."""
@@ -81,10 +80,6 @@ class Deposit(Step):
             events.x, events.y, events.stamp, self._ptr.device, self._t_ref.device, self._motion.device,
             self._frame.device, self._extent.device, self._cells,
         )  # fmt: skip
-
-
-def _is(one: object, other: object) -> bool:
-    return one is other
 
 
 class Sharpen(Step):
@@ -110,15 +105,15 @@ class Sharpen(Step):
 
     def write(
         self,
-        motions: Sequence[Motion],
-        regions: Sequence[Region],
+        motions: Motions,
+        regions: Regions,
         lags_px: ArrayLike,
     ) -> None:
         """Say which lags (ON, OFF) along which motion, those of each window together."""
-        each, placed = self._each, np.array(regions)
-        self._direction.fill(_repeated([motion.direction for motion in motions], each))
-        self._lag.fill(np.array(lags_px).reshape(-1, 2) / _repeated(placed[:, 2:3], each))
-        self._extent.fill(_repeated(placed[:, 3:], each))
+        each = self._each
+        self._direction.fill(_repeated(motions.direction, each))
+        self._lag.fill(np.asarray(lags_px).reshape(-1, 2) / _repeated(regions[:, 2:3], each))
+        self._extent.fill(_repeated(regions[:, 3:], each))
 
     def launch(self) -> None:
         """Launch the kernels one by one."""
@@ -128,18 +123,16 @@ class Sharpen(Step):
         )  # fmt: skip
 
 
-def _repeated(rows: ArrayLike, each: int) -> NDArray[Any]:
-    values = np.asarray(rows)
-    return values if each == 1 else values.repeat(each, axis=0)
+def _repeated(rows: NDArray[Any], each: int) -> NDArray[Any]:
+    return rows if each == 1 else rows.repeat(each, axis=0)
 
 
-def cells_for(regions: Sequence[Region], *, workspace: Workspace) -> Cells:
+def cells_for(regions: Regions, *, workspace: Workspace) -> Cells:
     """Give the cells for windows' events on a region each, which the next on as large ones overwrite."""
     count = count_for(len(regions))
-    height, width = regions[0].height, regions[0].width
+    height, width = map(int, regions[:, 3:].max(axis=0).tolist())
     if count > 1:
-        height = -(-max(region.height for region in regions) // COARSE_GRAIN) * COARSE_GRAIN
-        width = -(-max(region.width for region in regions) // COARSE_GRAIN) * COARSE_GRAIN
+        height, width = (-(-side // COARSE_GRAIN) * COARSE_GRAIN for side in (height, width))
     return workspace.once(("cells", count, height, width), lambda: Cells(count, height, width, workspace))
 
 

@@ -20,10 +20,10 @@ from numpy.typing import NDArray
 from evqr.config import ReadConfig
 from evqr.events.batch import EventBatch
 from evqr.fit.align import Align, Alignment, fine_levels
-from evqr.fit.detection import Target
 from evqr.fit.image import Cells, Deposit, Sharpen, cells_for
-from evqr.fit.region import Region
+from evqr.fit.region import Regions
 from evqr.fit.tables import Codes, PoseTables
+from evqr.fit.targets import Targets
 from evqr.workspace import EventRoom, Images, Staging, Step, Workspace
 
 CORNERS = ((0.0, 0.0), (1.0, 0.0), (0.0, 1.0))
@@ -35,8 +35,8 @@ LEAST_ON = 0.1
 
 def estimate_lags(
     batch: EventBatch,
-    targets: Sequence[Target],
-    regions: Sequence[Region],
+    targets: Targets,
+    regions: Regions,
     pose: NDArray[np.float64],
     cfg: ReadConfig,
     *,
@@ -48,9 +48,9 @@ def estimate_lags(
     ----------
     batch : EventBatch
         The windows.
-    targets : sequence of Target
+    targets : Targets
         The codes, and how they move.
-    regions : sequence of Region
+    regions : Regions
         Around them.
     pose : (N, 3, 3) float64
         Code coordinates to cells of the regions.
@@ -67,9 +67,9 @@ def estimate_lags(
         Of the poses with these lags.
     """
     lag, count = cfg.lag, len(targets)
-    spaces, motions = [target.space for target in targets], [target.motion for target in targets]
+    motions = targets.motions
     codes, (level,) = Codes.of(workspace), fine_levels(cfg.align)
-    numbers = [codes.number(space) for space in spaces]
+    numbers = codes.numbers(targets.spaces)
     tables = codes.poses(level, cfg.align, numbers)
     events, cells = workspace.events(batch), cells_for(regions, workspace=workspace)
     from_events = cells.take(batch, motions, regions)
@@ -77,13 +77,13 @@ def estimate_lags(
         ("lag", from_events and events.capacity, tables.version, cfg.align, lag),
         lambda: _Lag(events if from_events else None, cells, tables, cfg, workspace),
     )
-    cell = np.array([region.cell for region in regions])
+    cell = regions[:, 2]
     on = cell[:, None] * cfg.align.cells_a_module * np.array(lag.first_on)
     first = np.stack([on, lag.off_over_on * on], axis=2)
     # a lagging edge is seen behind the true one by the mean lag
     behind = 0.5 * first.sum(axis=2) / cell[:, None]
     start = pose[:, None].repeat(len(lag.first_on), axis=1)
-    along = np.array([motion.direction for motion in motions])
+    along = motions.direction
     start[:, :, :2] += (behind[:, :, None] * along[:, None])[..., None] * pose[:, None, 2:]
     if step.deposit is not None:
         step.deposit.write(batch, motions, regions)

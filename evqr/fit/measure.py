@@ -16,11 +16,12 @@ import numpy as np
 from evqr.config import ReadConfig
 from evqr.events.batch import EventBatch
 from evqr.fit.align import Align, Alignment, Beyond, fine_levels
-from evqr.fit.detection import NO_TIMINGS, Detection, Target
+from evqr.fit.detection import NO_TIMINGS, Detection
 from evqr.fit.image import Cells, Deposit, Sharpen, cells_for
 from evqr.fit.modules import Equations, Fused, NormalEquations, Solution
-from evqr.fit.region import Region
+from evqr.fit.region import Regions, in_cells, in_px
 from evqr.fit.tables import Codes, ModuleTables, PoseTables
+from evqr.fit.targets import Targets
 from evqr.symbol.space import closed
 from evqr.workspace import EventRoom, Step, Workspace
 
@@ -45,32 +46,27 @@ class Measurements:
 
     def detections(
         self,
-        targets: Sequence[Target],
-        regions: Sequence[Region],
+        targets: Targets,
+        regions: Regions,
         iterations: Sequence[int] | None = None,
         timings_ms: Mapping[str, float] = NO_TIMINGS,
     ) -> list[Detection]:
         """Give what the windows say in px of the sensor, after so many iterations before."""
-        found, before = self.alignment, iterations or [0] * len(targets)
-        in_cells, gain = found.pose.tolist(), closed(found.gain)
-        in_px = [region.in_px(pose) for region, pose in zip(regions, in_cells, strict=True)]
-        pose = closed(np.array(in_px))
-        numbers = zip(found.score.tolist(), found.noise.tolist(), found.iterations.tolist(), strict=True)
+        found = self.alignment
+        gain, steps = closed(found.gain), found.iterations
+        if iterations is not None:
+            steps = steps + np.array(iterations)
+        numbers = found.score.tolist(), found.noise.tolist(), steps.tolist()
+        seen = targets.seen(closed(in_px(regions, found.pose)))
         return [
             Detection.trusted(
-                target=Target.trusted(
-                    space=target.space, pose=pose[k], motion=target.motion, tau_us=target.tau_us
-                ),
-                gain=gain[k],
-                score=score,
-                noise=noise,
-                equations=self.equations[k],
-                fused=self.fused[k],
-                iterations=before[k] + steps,
-                timings_ms=timings_ms,
+                target=target, gain=gain[k], score=score, noise=noise, equations=equations, iterations=taken,
+                timings_ms=timings_ms, fused=fused,
             )
-            for k, (target, (score, noise, steps)) in enumerate(zip(targets, numbers, strict=True))
-        ]
+            for k, (target, equations, fused, score, noise, taken) in enumerate(
+                zip(seen, self.equations, self.fused, *numbers, strict=True)
+            )
+        ]  # fmt: skip
 
 
 class Measure(Step):
@@ -102,24 +98,21 @@ class Measure(Step):
             self._solution = Solution(count, modules, room, cfg.modules, workspace, self.equations, staging)
 
     def write(
-        self, batch: EventBatch, targets: Sequence[Target], regions: Sequence[Region], numbers: Sequence[int],
+        self, batch: EventBatch, targets: Targets, regions: Regions, numbers: Sequence[int],
         before: Sequence[NormalEquations | None],
     ) -> None:  # fmt: skip
         """Say what is looked for, where the regions lie, and what earlier windows say."""
-        motions = [target.motion for target in targets]
         if self._deposit is not None:
-            self._deposit.write(batch, motions, regions)
-        self.sharpen.write(motions, regions, [target.lag_px for target in targets])
-        start = [
-            region.in_cells(target.pose.tolist()) for target, region in zip(targets, regions, strict=True)
-        ]
-        self._spaces, self._before = [target.space for target in targets], before
-        self.align.write(np.array(start), np.arange(len(targets), dtype=np.int32), numbers)
+            self._deposit.write(batch, targets.motions, regions)
+        self.sharpen.write(targets.motions, regions, targets.lag_px)
+        self._spaces, self._before = targets.spaces, before
+        which = np.arange(len(targets), dtype=np.int32)
+        self.align.write(in_cells(regions, targets.pose), which, numbers)
         if self._beyond is not None:
-            self._beyond.write(self._spaces, numbers)
+            self._beyond.write(targets.single, numbers)
         if self._solution is not None:
             # of a single finder pattern the score alone does not tell
-            least = [-np.inf if space.single_pattern else self._least_score for space in self._spaces]
+            least = np.where(targets.single, -np.inf, self._least_score)
             self._solution.write(before, numbers, least=least)
 
     def launch(self) -> None:
@@ -147,8 +140,8 @@ class Measure(Step):
 
 def measuring(
     batch: EventBatch,
-    targets: Sequence[Target],
-    regions: Sequence[Region],
+    targets: Targets,
+    regions: Regions,
     cfg: ReadConfig,
     *,
     workspace: Workspace,
@@ -160,9 +153,9 @@ def measuring(
     ----------
     batch : EventBatch
         What is measured.
-    targets : sequence of Target
+    targets : Targets
         What is looked for in each, at the middle of the window.
-    regions : sequence of Region
+    regions : Regions
         Around them.
     cfg : ReadConfig
         Settings.
@@ -177,13 +170,12 @@ def measuring(
     step : Measure
         To be run and read, before it is made ready for other windows.
     """
-    spaces = [target.space for target in targets]
     events, cells = workspace.events(batch), cells_for(regions, workspace=workspace)
-    from_events = cells.take(batch, [target.motion for target in targets], regions)
+    from_events = cells.take(batch, targets.motions, regions)
     codes, (level,) = Codes.of(workspace), fine_levels(cfg.align)
-    numbers = [codes.number(space) for space in spaces]
+    numbers = codes.numbers(targets.spaces)
     poses, modules = codes.poses(level, cfg.align, numbers), codes.modules(cfg.modules, numbers)
-    beyond, single = None, [k for k, space in enumerate(spaces) if space.single_pattern]
+    beyond, single = None, np.flatnonzero(targets.single).tolist()
     if single:
         level = replace(level, beyond_patterns=True)
         beyond = codes.poses(level, cfg.align, [numbers[k] for k in single])
@@ -196,14 +188,14 @@ def measuring(
             solved=solved,
         ),
     )  # fmt: skip
-    step.write(batch, targets, regions, numbers, before or [None] * len(spaces))
+    step.write(batch, targets, regions, numbers, before or [None] * len(targets))
     return step
 
 
 def measure(
     batch: EventBatch,
-    targets: Sequence[Target],
-    regions: Sequence[Region],
+    targets: Targets,
+    regions: Regions,
     cfg: ReadConfig,
     *,
     workspace: Workspace,

@@ -19,7 +19,7 @@ from dataclasses import dataclass, field
 from typing import Any, NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 
 from evqr.config import ModulesConfig
 from evqr.fit.align import Align
@@ -276,6 +276,7 @@ class Solution(Step):
         self._filled: list[tuple[int, int]] = [(0, 0)] * count  # rows and columns that were written
         self._scratch = workspace.scratch("solve_code", B=count, V=room[0], U=room[1])
         self._sum = staging.output((count, *room)), staging.output((count, reach, reach))
+        self._peak = staging.output((count,))
         self._pulled, self._damping = workspace.empty(count, *room), workspace.empty(count)
         self._solved = workspace.empty(count, dtype=np.int32)
         self._unclear = workspace.empty(count, room[0], dtype=np.int32)
@@ -287,7 +288,7 @@ class Solution(Step):
         before: Sequence[NormalEquations | None],
         numbers: Sequence[int],
         weights: Sequence[float] | None = None,
-        least: Sequence[float] | None = None,
+        least: ArrayLike = 0.0,
     ) -> None:
         """Say what was seen of which codes; how much that counts, and from which score on they are solved.
 
@@ -296,9 +297,10 @@ class Solution(Step):
         if self._number is not None:
             self._number.fill(numbers)
         rhs, stencil = (mirror.host for mirror in self._before)
-        scores = np.full(len(self._filled), np.inf)
+        asked = np.zeros(len(self._filled), np.bool_)
         for k, each in enumerate(before):
-            scores[k] = np.inf if each is None else 0.0 if least is None else least[k]
+            if each is not None:
+                asked[k] = True
             size = (0, 0) if each is None or each.is_nothing else each.rhs.shape
             if size != self._filled[k]:
                 rhs[k] = stencil[k] = 0.0
@@ -307,7 +309,9 @@ class Solution(Step):
                 weight = weights[k] if weights else 1.0
                 np.multiply(each.rhs, weight, out=rhs[k, : size[0], : size[1]], casting="same_kind")
                 np.multiply(each.stencil, weight, out=stencil[k], casting="same_kind")
-        self._least.write(scores)
+        scores = np.full(len(self._filled), np.inf)
+        scores[: len(before)] = least
+        self._least.write(np.where(asked, scores, np.inf))
 
     def launch(self) -> None:
         """Launch the kernels one by one: modules are pulled to what they start from, free ones to grey."""
@@ -317,7 +321,7 @@ class Solution(Step):
         self._backend.sum_equations(
             seen.rhs, seen.gain, seen.noise, seen.products, *(mirror.device for mirror in self._before),
             seen.score, self._least.device, number, tables["start"], cfg.damping, *cfg.damping_range, rhs,
-            stencil, self._damping, self._q.device, self._solved,
+            stencil, self._peak.device, self._damping, self._q.device, self._solved,
         )  # fmt: skip
         for iterations in self._iterations:
             self._backend.pull_modules(
@@ -342,7 +346,9 @@ class Solution(Step):
 
     def fused(self, spaces: Sequence[CodeSpace]) -> list[Fused]:
         """Wait for the device and give the sums, too."""
-        rhs, stencil = (closed(mirror.read()[: len(spaces)].copy()) for mirror in self._sum)
+        count = len(spaces)
+        peak = self._peak.read()[:count, None, None]
+        rhs, stencil = (closed(peak * mirror.read()[:count]) for mirror in self._sum)
         return [
             Fused.trusted(equations=equations, estimate=estimate)
             for equations, estimate in zip(_equations(spaces, stencil, rhs), self.read(spaces), strict=True)
@@ -386,7 +392,7 @@ def solve_modules(
     if not equations:
         return []
     codes, spaces = Codes.of(workspace), [each.space for each in equations]
-    numbers = [codes.number(space) for space in spaces]
+    numbers = codes.numbers(spaces)
     tables, room, count = codes.modules(cfg, numbers), codes.room(numbers), count_for(len(spaces))
     step = workspace.once(
         ("solution", cfg, count, room, tables.version),

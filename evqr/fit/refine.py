@@ -16,7 +16,8 @@ from evqr.fit.align import escape_side_minimum
 from evqr.fit.detection import NO_LAG, Detection, Target
 from evqr.fit.lag import estimate_lags
 from evqr.fit.measure import measure, measuring
-from evqr.fit.region import Region, region_around
+from evqr.fit.region import in_cells, in_px
+from evqr.fit.targets import Targets
 from evqr.motion import Motion
 from evqr.symbol.space import CodeSpace, closed
 from evqr.values import Value
@@ -45,8 +46,8 @@ class Refinement(Value):
     ----------
     target : Target
         What was looked for: its pose is the candidate's.
-    region : Region
-        Around the candidate.
+    region : (5,) float64
+        Around the candidate, as of `Regions`.
     detection : Detection
         What came out, before lags are estimated.
     escaped : bool
@@ -56,7 +57,7 @@ class Refinement(Value):
     """
 
     target: Target
-    region: Region
+    region: NDArray[np.float64]
     detection: Detection
     escaped: bool
     iterations: int = 0
@@ -142,18 +143,17 @@ def _refined(
     batch: EventBatch, targets: Sequence[Target], cfg: ReadConfig, *, workspace: Workspace
 ) -> list[Refinement]:
     """Refine one candidate a window."""
-    one, margin_px = cfg.align, cfg.finder.margin_px
-    regions = [region_around(target.pose, target.space, one, margin_px=margin_px) for target in targets]
-    step = measuring(batch, targets, regions, cfg, workspace=workspace)
+    one, placed = cfg.align, Targets(targets)
+    regions = placed.regions(one, margin_px=cfg.finder.margin_px)
+    step = measuring(batch, placed, regions, cfg, workspace=workspace)
     step.run()
     found = step.read()
-    spaces = [target.space for target in targets]
-    alignment, escaped = escape_side_minimum(step.images, found.alignment, spaces, one, workspace=workspace)
+    alignment, escaped = escape_side_minimum(
+        step.images, found.alignment, placed.spaces, one, workspace=workspace
+    )
     found = replace(found, alignment=alignment)
-    return [
-        Refinement(*one)
-        for one in zip(targets, regions, found.detections(targets, regions), escaped.tolist(), strict=True)
-    ]
+    detections = found.detections(placed, regions)
+    return [Refinement(*one) for one in zip(targets, regions, detections, escaped.tolist(), strict=True)]
 
 
 def complete(
@@ -205,10 +205,10 @@ def complete(
     for rows, targets in groups:
         if not rows:
             continue
-        regions = [refinements[k].region for k in rows]
+        regions, placed = np.stack([refinements[k].region for k in rows]), Targets(targets)
         with clock("stage_one"):
-            measured = measure(batch.pick(rows), targets, regions, cfg, workspace=workspace)
-        made = measured.detections(targets, regions, [refinements[k].iterations for k in rows])
+            measured = measure(batch.pick(rows), placed, regions, cfg, workspace=workspace)
+        made = measured.detections(placed, regions, [refinements[k].iterations for k in rows])
         for k, detection in zip(rows, made, strict=True):
             detections[k] = detection
     return detections
@@ -218,13 +218,11 @@ def _with_lags(
     batch: EventBatch, found: Sequence[Refinement], cfg: ReadConfig, *, workspace: Workspace
 ) -> list[Target]:
     """Estimate the time constants of the pixels for candidates, and their poses with the lags undone."""
-    targets, regions = [each.target for each in found], [each.region for each in found]
-    pose = np.array([each.region.in_cells(each.detection.pose.tolist()) for each in found])
+    targets, regions = Targets([each.target for each in found]), np.stack([each.region for each in found])
+    pose = in_cells(regions, np.stack([each.detection.pose for each in found]))
     lags_px, aligned = estimate_lags(batch, targets, regions, pose, cfg, workspace=workspace)
+    seen = closed(in_px(regions, aligned.pose))
     return [
-        each.target.altered(
-            pose=closed(np.array(each.region.in_px(aligned.pose[k].tolist()))),
-            tau_us=each.target.motion.tau_us((on, off)),
-        )
+        each.target.altered(pose=seen[k], tau_us=each.target.motion.tau_us((on, off)))
         for k, (each, (on, off)) in enumerate(zip(found, lags_px.tolist(), strict=True))
     ]

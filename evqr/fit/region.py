@@ -2,23 +2,19 @@
 
 from __future__ import annotations
 
-import math
-from typing import NamedTuple
+from collections.abc import Sequence
+from typing import Any, NamedTuple, TypeAlias
 
 import numpy as np
 from numpy.typing import NDArray
 
 from evqr.config import AlignConfig
 from evqr.fit.model import quiet_modules
-from evqr.geometry import bounds, module_px
+from evqr.geometry import bounds_each, module_px_each
 from evqr.symbol.space import CodeSpace
 
 GRAIN = 16
 """Regions grow in steps of so many cells, so that their buffers are used again."""
-
-
-Pose = list[list[float]]
-"""A pose (3, 3) as Python has it."""
 
 
 class Region(NamedTuple):
@@ -52,35 +48,76 @@ class Region(NamedTuple):
         s = self.cell
         return np.array([[s, 0.0, self.x + 0.5 * s], [0.0, s, self.y + 0.5 * s], [0.0, 0.0, 1.0]])
 
-    # in Python, as what is done once a window: these are few numbers
 
-    def in_cells(self, pose: Pose) -> Pose:
-        """Give a pose (3, 3) in px of the sensor as one in cells."""
-        s = 1.0 / self.cell
-        x, y = -self.x * s - 0.5, -self.y * s - 0.5
-        (a, b, c), (d, e, f), (g, h, i) = pose
-        first = [s * a + x * g, s * b + x * h, s * c + x * i]
-        return [first, [s * d + y * g, s * e + y * h, s * f + y * i], [g, h, i]]
+Regions: TypeAlias = "NDArray[np.float64]"
+"""Regions side by side, (N, 5): a row a `Region`."""
 
-    def in_px(self, pose: Pose) -> Pose:
-        """Give a pose (3, 3) in cells as one in px of the sensor, whose last number is 1."""
-        s = self.cell
-        x, y = self.x + 0.5 * s, self.y + 0.5 * s
-        (a, b, c), (d, e, f), (g, h, i) = pose
-        return [
-            [(s * a + x * g) / i, (s * b + x * h) / i, (s * c + x * i) / i],
-            [(s * d + y * g) / i, (s * e + y * h) / i, (s * f + y * i) / i],
-            [g / i, h / i, 1.0],
-        ]
+
+def regions_of(regions: Sequence[Region] | Regions) -> Regions:
+    """Put regions side by side."""
+    return np.asarray(regions, np.float64)
+
+
+def in_cells(regions: Regions, pose: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Give poses (N, 3, 3) in px of the sensor as poses in cells of a region each."""
+    scale = 1.0 / regions[:, 2:3]
+    off = -regions[:, :2] * scale - 0.5
+    found = pose.copy()
+    found[:, :2] = scale[:, :, None] * pose[:, :2] + off[:, :, None] * pose[:, 2:]
+    return found
+
+
+def in_px(regions: Regions, pose: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Give poses (N, 3, 3) in cells of a region each in px of the sensor; their last number is 1."""
+    scale = regions[:, 2:3]
+    off = regions[:, :2] + 0.5 * scale
+    found = pose.copy()
+    found[:, :2] = scale[:, :, None] * pose[:, :2] + off[:, :, None] * pose[:, 2:]
+    found /= pose[:, 2:, 2:]
+    return found
+
+
+def regions_around(
+    pose: NDArray[np.float64],
+    shape: NDArray[Any],
+    quiet: NDArray[Any],
+    cfg: AlignConfig,
+    *,
+    margin_px: float = 0.0,
+) -> Regions:
+    """Give the regions that hold a code each and its quiet zone.
+
+    Parameters
+    ----------
+    pose : (N, 3, 3) float64
+        Code coordinates to px.
+    shape : (N, 2) int [modules]
+        Rows and columns.
+    quiet : (N,) int [modules]
+        What the model covers of the quiet zone.
+    cfg : AlignConfig
+        Settings.
+    margin_px : float [px]
+        Around that.
+
+    Returns
+    -------
+    regions : (N, 5) float64
+        A row a `Region`.
+    """
+    begin, end = bounds_each(pose, shape, quiet + 1.0)
+    found = np.empty((len(pose), 5))
+    found[:, :2] = begin - margin_px
+    cell = found[:, 2] = module_px_each(pose, shape) / cfg.cells_a_module
+    grains = np.ceil((end - begin + 2.0 * margin_px) / cell[:, None] / GRAIN)
+    found[:, 3:] = grains[:, ::-1] * GRAIN
+    return found
 
 
 def region_around(
     pose: NDArray[np.float64], space: CodeSpace, cfg: AlignConfig, *, margin_px: float = 0.0
 ) -> Region:
     """Give the region that holds a code and its quiet zone."""
-    left, top, right, bottom = bounds(pose, space.shape, quiet_modules(space) + 1.0)
-    cell = module_px(pose, space.shape) / cfg.cells_a_module
-    margin = 2.0 * margin_px
-    height = math.ceil((bottom - top + margin) / cell / GRAIN) * GRAIN
-    width = math.ceil((right - left + margin) / cell / GRAIN) * GRAIN
-    return Region(left - margin_px, top - margin_px, cell, height, width)
+    shape, quiet = np.array([space.shape]), np.array([quiet_modules(space)])
+    x, y, cell, height, width = regions_around(pose[None], shape, quiet, cfg, margin_px=margin_px)[0].tolist()
+    return Region(x, y, cell, int(height), int(width))

@@ -86,6 +86,16 @@ class Codes:
             self._spaces.append(space)
             return self._numbers[space]
 
+    def numbers(self, spaces: Iterable[CodeSpace]) -> list[int]:
+        """Give the numbers of codes."""
+        numbers: list[int] = []
+        last, number = None, 0
+        for space in spaces:
+            if space is not last:  # most often all are alike
+                last, number = space, self.number(space)
+            numbers.append(number)
+        return numbers
+
     def space(self, number: int) -> CodeSpace:
         """Give the code that has a number."""
         space = self._spaces[number]

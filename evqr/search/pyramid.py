@@ -17,8 +17,8 @@ from numpy.typing import NDArray
 from evqr.config import FinderConfig
 from evqr.events.batch import EventBatch
 from evqr.fit.image import Cells, Deposit, Sharpen
-from evqr.fit.region import Region
-from evqr.motion import Motion
+from evqr.fit.region import Region, regions_of
+from evqr.motion import Motion, Motions
 from evqr.symbol.space import closed
 from evqr.workspace import EventRoom, Images, Staging, Step, Workspace
 
@@ -190,8 +190,9 @@ class Pyramid(Step):
                 shift = half - 0.5 - region.x / level.cell, half - 0.5 - region.y / level.cell
                 rows.append((top, level.rows + 2 * half, level.columns + 2 * half, level.cell, *shift))
         self._levels[: len(rows)] = rows
-        self._deposit.write(batch, motions, regions)
-        self._sharpen.write(motions, regions, lags)
+        moving, placed = Motions.of(motions), regions_of(regions)
+        self._deposit.write(batch, moving, placed)
+        self._sharpen.write(moving, placed, lags)
 
     def launch(self) -> None:
         """Launch the kernels one by one."""

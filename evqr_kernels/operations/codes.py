@@ -240,6 +240,7 @@ OPERATIONS = (
             setting("most_damping", 0.0),
             overwritten("rhs_out", "B", "V", "U"),
             overwritten("stencil_out", "B", "K", "K"),
+            overwritten("peak_out", "B"),
             overwritten("damping_out", "B"),
             overwritten("q_out", "B", "V", "U"),
             overwritten("solved_idx_out", "B", integer=True),

@@ -307,7 +307,7 @@ def sum_equations(
     known: Floats, *, damping: float, least_damping: float, most_damping: float,
     score: Floats | None = None, least: Floats | None = None, space_idx: Ints | None = None,
     backend: str = "auto", device: str | None = None,
-) -> tuple[Floats, Floats, Floats, Floats, Ints]:  # fmt: skip
+) -> tuple[Floats, Floats, Floats, Floats, Floats, Ints]:  # fmt: skip
     """Add windows' equations to those of earlier windows, by their noise, and make ready to solve the sums.
 
     Parameters
@@ -329,7 +329,7 @@ def sum_equations(
     damping : float [1]
         Of the sums, in units of the noise.
     least_damping, most_damping : float [1]
-        It is no less and no more than this share of the middle of the summed stencil.
+        Of what is solved it is no less and no more than this.
     score : (B,) float [1]
         How well each window agrees; by default 1.
     least : (B,) float [1]
@@ -342,11 +342,15 @@ def sum_equations(
     Returns
     -------
     rhs : (B, V, U) float [1]
-        ``rhs_before + rhs / noise``.
+        ``(rhs_before + rhs / noise) / peak``.
     stencil : (B, K, K) float [1]
-        ``stencil_before + (gain_u^2 products_0 + gain_v^2 products_1 + gain_u gain_v products_2) / noise``.
+        ``(stencil_before + (gain_u^2 products_0 + gain_v^2 products_1 + gain_u gain_v products_2) / noise)
+        / peak``.
+    peak : (B,) float [1]
+        The middle of the summed stencil, or 1 where that is 0: however many windows add up, what is solved is
+        of one size.
     damping : (B,) float [1]
-        For `pull_modules` and `solve_code`.
+        ``damping / peak`` within its bounds, for `pull_modules` and `solve_code`.
     q : (B, V, U) float [1]
         ``known`` of each window's code.
     solved_idx : (B,) int32

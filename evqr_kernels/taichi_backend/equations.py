@@ -13,6 +13,11 @@ LEAST_NOISE = 1e-12
 def make_sum_equations(dtype):
     """Build the sum; one thread per row, the first of a window sums stencils."""
 
+    @ti.func
+    def stencil_at(before: ti.template(), products: ti.template(), weight, a_u, a_v, b, k, n):
+        own = a_u * a_u * products[0, k, n] + a_v * a_v * products[1, k, n] + a_u * a_v * products[2, k, n]
+        return before[b, k, n] + weight * own
+
     @ti.kernel
     def sum_equations(
         rhs: array(dtype, 3),
@@ -30,6 +35,7 @@ def make_sum_equations(dtype):
         most_damping: dtype,
         rhs_out: array(dtype, 3),
         stencil_out: array(dtype, 3),
+        peak_out: array(dtype, 1),
         damping_out: array(dtype, 1),
         q_out: array(dtype, 3),
         solved_idx_out: array(ti.i32, 1),
@@ -37,23 +43,21 @@ def make_sum_equations(dtype):
         for b, i in ti.ndrange(rhs.shape[0], rhs.shape[1]):
             m = space_idx[b]
             weight = dtype(1.0) / ti.max(noise[b], dtype(LEAST_NOISE))
+            a_u = gain[b, 0]
+            a_v = gain[b, 1]
+            middle = products.shape[1] // 2
+            peak = stencil_at(stencil_before, products, weight, a_u, a_v, b, middle, middle)
+            if peak == dtype(0.0):
+                peak = dtype(1.0)
             for j in range(rhs.shape[2]):
-                rhs_out[b, i, j] = rhs_before[b, i, j] + weight * rhs[b, i, j]
+                rhs_out[b, i, j] = (rhs_before[b, i, j] + weight * rhs[b, i, j]) / peak
                 q_out[b, i, j] = known[m, i, j]
             if i == 0:
-                a_u = gain[b, 0]
-                a_v = gain[b, 1]
                 for k, n in ti.ndrange(products.shape[1], products.shape[2]):
-                    own = a_u * a_u * products[0, k, n] + a_v * a_v * products[1, k, n]
-                    own += a_u * a_v * products[2, k, n]
-                    stencil_out[b, k, n] = stencil_before[b, k, n] + weight * own
-                peak = stencil_out[b, products.shape[1] // 2, products.shape[2] // 2]
-                bounded = damping
-                if bounded < least_damping * peak:
-                    bounded = least_damping * peak
-                if bounded > most_damping * peak:
-                    bounded = most_damping * peak
-                damping_out[b] = bounded
+                    total = stencil_at(stencil_before, products, weight, a_u, a_v, b, k, n)
+                    stencil_out[b, k, n] = total / peak
+                peak_out[b] = peak
+                damping_out[b] = ti.min(ti.max(damping / peak, least_damping), most_damping)
                 solved = 0
                 if score[b] >= least[b]:
                     solved = m
@@ -64,11 +68,12 @@ def make_sum_equations(dtype):
 
 def sum_equations(
     rhs, gain, noise, products, rhs_before, stencil_before, score, least, space_idx, known, damping: float,
-    least_damping: float, most_damping: float, rhs_out, stencil_out, damping_out, q_out, solved_idx_out,
+    least_damping: float, most_damping: float, rhs_out, stencil_out, peak_out, damping_out, q_out,
+    solved_idx_out,
 ) -> None:  # fmt: skip
     """Launch; overwrites."""
     launch(
         make_sum_equations(float_of(rhs)), rhs, gain, noise, products, rhs_before, stencil_before, score,
-        least, space_idx, known, damping, least_damping, most_damping, rhs_out, stencil_out, damping_out,
-        q_out, solved_idx_out,
+        least, space_idx, known, damping, least_damping, most_damping, rhs_out, stencil_out, peak_out,
+        damping_out, q_out, solved_idx_out,
     )  # fmt: skip

@@ -8,7 +8,9 @@ from evqr.config import AlignConfig
 from evqr.events.batch import EventBatch
 from evqr.fit.image import Deposit, Sharpen, cells_for
 from evqr.fit.modules import Equations, solve_modules
+from evqr.fit.region import regions_of
 from evqr.fit.tables import Codes, room_for
+from evqr.motion import Motions
 
 
 def deposit(window, motion, region, *, workspace):
@@ -18,6 +20,7 @@ def deposit(window, motion, region, *, workspace):
 
 def deposited(batch, motions, regions, *, workspace):
     """Events of windows on cells of a region each, unless they are there already."""
+    motions, regions = Motions.of(motions), regions_of(regions)
     cells, events = cells_for(regions, workspace=workspace), workspace.events(batch)
     if cells.take(batch, motions, regions):
         step = cells.once(("deposit", events.capacity), lambda: Deposit(events, cells, workspace))
@@ -29,7 +32,7 @@ def deposited(batch, motions, regions, *, workspace):
 def sharpen(cells, motion, region, lags_px, *, workspace):
     """Images (N, height, width) for some pairs of lags [px]."""
     step = Sharpen(cells, AlignConfig().blur_cells, workspace, each=len(lags_px))
-    step.write([motion], [region], [lags_px])
+    step.write(Motions.of([motion]), regions_of([region]), [lags_px])
     step.run()
     return step.images
 

@@ -10,8 +10,8 @@ from evqr.events.batch import EventBatch
 from evqr.events.buffer import EventBuffer
 from evqr.events.window import make_window
 from evqr.fit.image import cells_for
-from evqr.fit.region import Region
-from evqr.motion import Motion
+from evqr.fit.region import Region, regions_of
+from evqr.motion import Motion, Motions
 from evqr.workspace import Workspace
 from evqr_kernels import get_backend
 
@@ -98,15 +98,15 @@ def test_what_the_clock_shows_does_not_matter(start_us, fresh):
 
 def test_a_deposit_that_is_there_is_not_made_again(fresh):
     batch = EventBatch.of(windows()[:2])
-    motions, regions = MOTIONS[:2], [REGIONS[0]] * 2
+    motions, regions = Motions.of(MOTIONS[:2]), regions_of([REGIONS[0]] * 2)
     cells = cells_for(regions, workspace=fresh)
     assert cells.take(batch, motions, regions)
-    assert cells_for(list(regions), workspace=fresh) is cells
-    assert not cells.take(batch.pick([0, 1]), motions, regions)
+    assert cells_for(regions.copy(), workspace=fresh) is cells
+    assert not cells.take(batch.pick([0, 1]), Motions.of(MOTIONS[:2]), regions.copy())
     for changed in (
         (batch.pick([1, 0]), motions, regions),
-        (batch, motions[::-1], regions),
-        (batch, motions, [Region(*regions[0]), regions[1]]),
+        (batch, Motions.of(MOTIONS[1::-1]), regions),
+        (batch, motions, regions + 1e-9),
     ):
         assert cells.take(*changed)
 

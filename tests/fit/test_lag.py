@@ -9,6 +9,8 @@ from evqr.events.batch import EventBatch
 from evqr.fit.align import align, fine_levels
 from evqr.fit.detection import Target
 from evqr.fit.lag import estimate_lags
+from evqr.fit.region import regions_of
+from evqr.fit.targets import Targets
 from evqr.simulate import SensorConfig
 
 CONFIG = ReadConfig()
@@ -26,7 +28,9 @@ def estimated(made, workspace, see):
         workspace=workspace,
     )
     target, batch = Target(seen.space, seen.pose, seen.motion), EventBatch.of([seen.window])
-    lag_px, found = estimate_lags(batch, [target], [seen.region], without.pose, CONFIG, workspace=workspace)
+    lag_px, found = estimate_lags(
+        batch, Targets([target]), regions_of([seen.region]), without.pose, CONFIG, workspace=workspace
+    )
     return seen, without, lag_px[0], found
 
 

@@ -470,7 +470,12 @@ BAD = [
     ),
     ("code_normal_equations", {"reach": -1}, ValueError, "reach must be at least 0, got -1"),
     ("code_product", {"arg1": f32(B, 4, 4)}, ValueError, "stencil must have an odd side, got (2, 4, 4)"),
-    ("sum_equations", {"arg3": f32(3, 4, 4)}, ValueError, "products must have odd sides, got (3, 4, 4)"),
+    (
+        "sum_equations",
+        {"arg3": f32(3, 4, 4), "arg5": f32(B, 4, 4)},
+        ValueError,
+        "products must have odd sides, got (3, 4, 4)",
+    ),
     ("sum_equations", {"damping": -1.0}, ValueError, "damping must be at least 0.0, got -1.0"),
     ("pull_modules", {"certainty": -1.0}, ValueError, "certainty must be at least 0.0, got -1.0"),
     ("pull_modules", {"certainty": np.inf}, ValueError, "certainty must be finite, got inf"),

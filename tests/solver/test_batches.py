@@ -16,7 +16,7 @@ from evqr.fit.detection import NO_LAG, Detection, NotFound, Target
 from evqr.fit.measure import measure
 from evqr.fit.modules import CodeEstimate, NormalEquations
 from evqr.fit.refine import complete, refine
-from evqr.fit.region import region_around
+from evqr.fit.targets import Targets
 from evqr.motion import Motion
 from evqr.simulate import CodePlacement
 from evqr.solver import Solver
@@ -77,9 +77,10 @@ def detections(windows, solver):
     """Of the targets as they are, whatever the windows show of them."""
     found = []
     for window, target in windows:
-        region = region_around(target.pose, target.space, CONFIG.align)
-        measured = measure(EventBatch.of([window]), [target], [region], CONFIG, workspace=solver.workspace)
-        found.append(replace(measured.detections([target], [region])[0], target=target))
+        targets = Targets([target])
+        regions = targets.regions(CONFIG.align)
+        measured = measure(EventBatch.of([window]), targets, regions, CONFIG, workspace=solver.workspace)
+        found.append(replace(measured.detections(targets, regions)[0], target=target))
     return found
 
 
@@ -234,13 +235,11 @@ def test_refining_side_by_side_is_refining_alone(tau_us, name, count, windows, s
     assert not any(good[len(CODES) :])
 
 
-def test_a_motion_that_is_not_the_same_everywhere_is_refused(windows, solvers):
-    solver = solvers("warp")
+def test_a_motion_that_is_not_the_same_everywhere_is_refused(windows):
     (window, target), *_ = windows
     turning = replace(target, motion=Motion([1000.0, 0.0, 0.0, -10.0, 10.0, 0.0], window.middle_us))
-    region = region_around(turning.pose, turning.space, CONFIG.align)
     with pytest.raises(NotImplementedError, match="motions of 2 parameters"):
-        measure(EventBatch.of([window]), [turning], [region], CONFIG, workspace=solver.workspace)
+        Targets([turning])
 
 
 def test_estimates_are_nobody_elses(windows, solvers):
