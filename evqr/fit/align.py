@@ -117,11 +117,6 @@ class Align(Step):
         return self._image_idx.device
 
     @property
-    def image_part(self) -> Any:
-        """Parts of the images (N, 3) on the device."""
-        return self._image_part.device
-
-    @property
     def pose(self) -> Any:
         """Poses (N, 9) on the device."""
         return self._pose.device
