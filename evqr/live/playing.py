@@ -80,7 +80,7 @@ class Playing:
         yield Sensor(self._recording.width, self._recording.height)
         began, first_us, shift_us = time.monotonic(), None, 0
         while not self._stopped.is_set():
-            waiting = deque((t_us + shift_us, kind) for t_us, kind in edges)
+            waiting = deque[tuple[int, TriggerKind]]((t_us + shift_us, kind) for t_us, kind in edges)
             last_us = 0
             for chunk in self._recording.chunks():
                 first_us = int(chunk.t[0]) if first_us is None else first_us

@@ -1,8 +1,9 @@
-"""The page as a web application: it only tells, and takes no request that changes anything."""
+"""The page as a web application: it tells, and who has the token may change the job."""
 
 from __future__ import annotations
 
 import hmac
+from collections.abc import Callable
 from importlib.resources import files
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -40,7 +41,12 @@ OPEN_PATHS = ("/healthz", "/readyz")
 
 
 def make_app(
-    state: LineState, *, no_reads: Path | None = None, token: str | None = None, hosts: tuple[str, ...] = ()
+    state: LineState,
+    *,
+    no_reads: Path | None = None,
+    token: str | None = None,
+    hosts: tuple[str, ...] = (),
+    use: Callable[[str], None] | None = None,
 ) -> Starlette:
     """Make the application.
 
@@ -55,6 +61,8 @@ def make_app(
     hosts : tuple of str
         Names by which it may be asked for; none: any. For a page on this machine alone they keep other
         pages' scripts from it.
+    use : callable, optional
+        Changes the job, or raises ValueError; it is asked for with a token alone.
 
     Returns
     -------
@@ -102,6 +110,15 @@ def make_app(
     def ready(request: Request) -> Response:
         return PlainTextResponse("not ready", 503) if state.problems else PlainTextResponse("ok")
 
+    async def job(request: Request) -> Response:
+        if use is None or token is None:
+            return PlainTextResponse("the job is changed by who has a token: set one in [page]", 403)
+        try:
+            use(str((await request.json())["job"]))
+        except (ValueError, KeyError, TypeError) as error:  # of a body that is no JSON, too
+            return PlainTextResponse(" ".join(str(error).split()), 400)
+        return JSONResponse({"job": state.snapshot()["job"]})
+
     async def no_read(request: Request) -> Response:
         found = _kept(no_reads, request.path_params["name"])
         if found is None:
@@ -129,6 +146,7 @@ def make_app(
             Route("/", page),
             Route("/static/{name}", asset),
             Route("/api/state", whole_state),
+            Route("/api/job", job, methods=["POST"]),
             Route("/metrics", metrics),
             Route("/healthz", health),
             Route("/readyz", ready),

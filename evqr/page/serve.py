@@ -6,6 +6,7 @@ import ipaddress
 import socket
 import threading
 import time
+from collections.abc import Callable
 from pathlib import Path
 from types import TracebackType
 
@@ -32,6 +33,8 @@ class PageServer:
         What who asks must have; needed where others than this machine can ask.
     no_reads : Path, optional
         The folder of the flight recorder.
+    use : callable, optional
+        Changes the job, for who has the token.
 
     Raises
     ------
@@ -49,6 +52,7 @@ class PageServer:
         *,
         token: str | None = None,
         no_reads: Path | None = None,
+        use: Callable[[str], None] | None = None,
     ) -> None:
         with needs_extra("the page of a line", "uvicorn", "line"):
             import uvicorn
@@ -56,7 +60,7 @@ class PageServer:
         local = _is_loopback(host)
         if not local and not token:
             raise UsageError(f"the page on {host} can be asked for by other machines: set a token")
-        app = make_app(state, no_reads=no_reads, token=token, hosts=LOOPBACK_NAMES if local else ())
+        app = make_app(state, no_reads=no_reads, token=token, hosts=LOOPBACK_NAMES if local else (), use=use)
         config = uvicorn.Config(app, host, port, log_config=None, access_log=False, lifespan="off", ws="none")
         self.host, self.port = host, port
         try:

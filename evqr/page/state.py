@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import base64
+import math
 import threading
 import time
 from bisect import bisect_left
@@ -29,6 +30,10 @@ RECENT = 100
 
 VIEW_EVENTS, VIEW_SIDE = 20_000, 320
 """Events that are shown, and the longer side of their picture at most."""
+
+
+CODE_TRAVEL_PX, CODE_SPAN_US = 4.0, (200.0, 20_000.0)
+"""How far a code moves while its events are shown, and the shortest and longest time that takes."""
 
 
 class Histogram:
@@ -69,14 +74,21 @@ class LineState:
         self._latency, self._compute = Histogram(), Histogram()
         self._last: dict[str, Any] | None = None
         self._view: deque[EventArray] = deque()
+        self._of_code: list[EventArray] = []
         self._rate: deque[tuple[float, int]] = deque()
         self._events = 0
         self._behind_ms = 0.0
         self._source, self._source_error = "", "not connected yet"
         self._problems: dict[str, str] = {}
         self._sinks: Callable[[], Sequence[tuple[str, OutletStatus]]] = tuple
+        self._job, self._jobs = "", ()
 
     # ---- what happens
+
+    def uses(self, job: str, jobs: Sequence[str]) -> None:
+        """Say which of which jobs is in use."""
+        with self._lock:
+            self._job, self._jobs = job, tuple(jobs)
 
     def watch_sinks(self, sinks: Callable[[], Sequence[tuple[str, OutletStatus]]]) -> None:
         """Ask for sinks in this way, by name, whenever somebody looks."""
@@ -114,10 +126,19 @@ class LineState:
                 keys = ("text", "symbology", "version", "corners_px", "t_read_us", "t_utc")
                 self._last = {**{key: record.get(key) for key in keys}, "modules": list(modules)}
                 self._compute.add(float(record.get("compute_ms", {}).get("total", 0.0)))
+                self._keep_code(record)
             elif kind == "part":
                 self._take_part(record, file)
             elif kind == "overload":
                 self._behind_ms = max(self._behind_ms, float(record.get("behind_ms", 0.0)))
+
+    def _keep_code(self, record: Mapping[str, Any]) -> None:
+        """Keep the events of a code that was just read, while it moved by a few pixels."""
+        read_us, (u, v) = int(record.get("t_read_us") or 0), record.get("motion_px_per_s") or (0.0, 0.0)
+        span_us = 1e6 * CODE_TRAVEL_PX / max(math.hypot(u, v), 1.0)
+        first_us = read_us - int(min(max(span_us, CODE_SPAN_US[0]), CODE_SPAN_US[1]))
+        parts = [part.between(first_us, read_us + 1) for part in self._view]
+        self._of_code = [part for part in parts if len(part)]
 
     def _take_part(self, record: Mapping[str, Any], file: str | None) -> None:
         read = bool(record.get("texts")) and record.get("matches") is not False
@@ -185,6 +206,8 @@ class LineState:
             recent = len(self._recent)
             return {
                 "line": self._line,
+                "job": self._job,
+                "jobs": self._jobs,
                 "source": self._source,
                 "uptime_s": now - self._started,
                 "problems": problems,
@@ -211,16 +234,17 @@ class LineState:
         return sum(count for _, count in self._rate) / max(1.0, now - self._rate[0][0])
 
     def view(self) -> dict[str, Any] | None:
-        """Draw the newest events: per cell, more brighter or more darker ones; None before any came.
+        """Draw the last code's events, or without any the newest; None before any came.
 
         Returns
         -------
         view : dict
             ``width`` and ``height`` of the sensor [px], ``columns`` and ``rows`` of cells, and ``cells``:
-            brighter less darker events, int8 by rows in base64.
+            brighter less darker events, int8 by rows in base64; ``of_code``: whether they are a code's.
         """
         with self._lock:
-            parts = list(self._view)
+            parts = self._of_code or list(self._view)
+            of_code = bool(self._of_code)
         if not parts:
             return None
         width, height = parts[-1].width, parts[-1].height
@@ -231,6 +255,6 @@ class LineState:
             np.add.at(sums, (part.y // step).astype(np.int64) * columns + part.x // step, part.p)
         cells = np.clip(sums, -127, 127).astype(np.int8)
         return {
-            "width": width, "height": height, "columns": columns, "rows": rows,
+            "width": width, "height": height, "columns": columns, "rows": rows, "of_code": of_code,
             "cells": base64.b64encode(cells.tobytes()).decode("ascii"),
         }  # fmt: skip

@@ -78,6 +78,8 @@ class Service:
         self._recorder: FlightRecorder | None = None
         self._sequence: SequenceFile | None = None
         self._reader: Reader | None = None
+        self._job = settings.job
+        self.state.uses(self._job, tuple(self._jobs))
         self._size = 0, 0
         self._recent: deque[bool] = deque(maxlen=settings.watch.alarm_parts)
         self._alarm = False
@@ -89,6 +91,27 @@ class Service:
         self._stopped = True
         if self._source is not None:
             self._source.stop()
+
+    def use(self, job: str) -> None:
+        """Change what is expected of parts, from now on; any thread may say so.
+
+        Parameters
+        ----------
+        job : str
+            One of the jobs; "" expects nothing.
+
+        Raises
+        ------
+        ValueError
+            There is no such job.
+        """
+        if job and job not in self._jobs:
+            raise ValueError(f"job must be one of {', '.join(self._jobs) or 'none'}, got {job!r}")
+        self._job = job
+        if self._reader is not None:
+            self._reader.use(job)
+        self.state.uses(job, tuple(self._jobs))
+        _LOG.info("the job is %r", job)
 
     def run(self) -> bool:
         """Read until the source ends or is stopped.
@@ -161,7 +184,7 @@ class Service:
             page = stack.enter_context(
                 PageServer(
                     self.state, settings.host, settings.port, token=settings.token,
-                    no_reads=None if folder is None else Path(folder),
+                    no_reads=None if folder is None else Path(folder), use=self.use,
                 )
             )  # fmt: skip
             _LOG.info("the page is at %s", page.url)
@@ -183,7 +206,7 @@ class Service:
             jobs=self._jobs, backend=settings.backend, device=settings.device, line=settings.line,
             camera=settings.camera, sequence=0 if self._sequence is None else self._sequence.next,
         )  # fmt: skip
-        self._reader.use(settings.job)
+        self._reader.use(self._job)
         return self._reader
 
     def _check_itself(self) -> None:

@@ -225,3 +225,44 @@ def test_hostile_texts_are_data():
     asks = client(line("busy"))
     assert HOSTILE not in asks.get("/").text
     assert asks.get("/api/state").json()["last"]["text"] == HOSTILE
+
+
+# ---- the job
+
+
+def test_the_job_is_changed_by_who_has_the_token_alone():
+    used = []
+
+    def use(job):
+        if job != "cartons":
+            raise ValueError(f"job must be one of cartons, got {job!r}")
+        used.append(job)
+        state.uses(job, ["cartons"])
+
+    state = LineState("L")
+    state.uses("", ["cartons"])
+    body = {"json": {"job": "cartons"}}
+    assert client(state, use=use)("POST", "/api/job", **body).status_code == 403  # there is no token
+    asks = client(state, token="t", use=use)
+    assert asks("POST", "/api/job", **body).status_code == 401 and used == []
+    given = {"Authorization": "Bearer t"}
+    done = asks("POST", "/api/job", headers=given, **body)
+    assert (done.status_code, done.json(), used) == (200, {"job": "cartons"}, ["cartons"])
+    assert asks("GET", "/api/state", headers=given).json()["job"] == "cartons"
+    for wrong in ({"json": {"job": "no"}}, {"json": [1]}, {"content": b"{"}, {"json": {}}):
+        refused = asks("POST", "/api/job", headers=given, **wrong)
+        assert refused.status_code == 400 and "\n" not in refused.text
+    assert asks("GET", "/api/job", headers=given).status_code == 405 and used == ["cartons"]
+
+
+def test_the_events_of_the_last_code_stay():
+    state = LineState("L")
+    state.saw(events())  # one a microsecond, up to 4999
+    assert not state.view()["of_code"]
+    moves = {"motion_px_per_s": [10_000.0, 0.0], "t_read_us": 3_000, "text": "a"}
+    state.take({"record": "read", **moves})
+    seen = state.view()
+    cells = np.frombuffer(base64.b64decode(seen["cells"]), np.int8)
+    assert seen["of_code"] and 0 < np.count_nonzero(cells) <= 401  # 4 px at 10 px/ms
+    state.saw(events())
+    assert state.view() == seen

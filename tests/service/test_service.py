@@ -234,3 +234,15 @@ def test_a_number_goes_on(tmp_path):
         SequenceFile(path)
     with pytest.raises(UsageError, match="cannot be written"):
         SequenceFile(tmp_path / "nowhere" / "sequence")
+
+
+def test_the_job_can_be_changed_while_it_runs():
+    settings, jobs = parse_settings('[source]\nwhere = "-"\n[jobs.cartons]\ncodes = 1\n', "line.toml")
+    service = Service(settings, jobs)
+    service._make((64, 48))
+    service.use("cartons")
+    assert service.state.snapshot()["job"] == "cartons" and service._reader._job == "cartons"
+    with pytest.raises(ValueError, match="job must be one of cartons, got 'lids'"):
+        service.use("lids")
+    service.use("")
+    assert service._reader._job == ""

@@ -92,6 +92,7 @@ function drawView(view, last) {
     }
   }
   context.globalAlpha = 1;
+  say("view-of", view.of_code ? "its events, and its outline" : "newest events");
   if (!last || !last.corners_px) return;
   const scale = view.columns / view.width;
   context.strokeStyle = color("--good");
@@ -190,7 +191,7 @@ function draw(state) {
   say("line", state.line || "evqr");
   say("status", good ? "ready" : "not ready");
   at("status").className = good ? "good" : "bad";
-  say("source", state.source ? "reads " + state.source : "");
+  say("source", [state.source && "reads " + state.source, state.job && "job " + state.job].filter(Boolean).join(", "));
   at("problems").hidden = good;
   at("problems").replaceChildren(...state.problems.map((text) => {
     const made = document.createElement("li");
