@@ -11,6 +11,7 @@ import subprocess
 import sys
 import time
 from importlib.resources import files
+from types import SimpleNamespace
 
 import pytest
 from scenes import joined, noise, scene
@@ -238,11 +239,11 @@ def test_a_number_goes_on(tmp_path):
 
 def test_the_job_can_be_changed_while_it_runs():
     settings, jobs = parse_settings('[source]\nwhere = "-"\n[jobs.cartons]\ncodes = 1\n', "line.toml")
-    service = Service(settings, jobs)
-    service._make((64, 48))
+    service, used = Service(settings, jobs), []
+    service._reader = SimpleNamespace(use=used.append)
     service.use("cartons")
-    assert service.state.snapshot()["job"] == "cartons" and service._reader._job == "cartons"
+    assert service.state.snapshot()["job"] == "cartons"
     with pytest.raises(ValueError, match="job must be one of cartons, got 'lids'"):
         service.use("lids")
     service.use("")
-    assert service._reader._job == ""
+    assert used == ["cartons", ""]
