@@ -40,6 +40,7 @@ if TYPE_CHECKING:
     from evqr.fit.detection import Detection, NotFound, Target
     from evqr.fit.modules import CodeEstimate, Fused, NormalEquations
     from evqr.line.aio import AsyncReader
+    from evqr.line.group import ReaderGroup
     from evqr.line.reader import Reader
     from evqr.line.records import (
         ClockRecord,
@@ -133,6 +134,7 @@ __all__ = [
     "ReadResult",
     "ReadStatus",
     "Reader",
+    "ReaderGroup",
     "Reason",
     "Recording",
     "RecordingError",
@@ -206,6 +208,7 @@ _HOME = {
         "NormalEquations",
     ),
     "evqr.line.aio": ("AsyncReader",),
+    "evqr.line.group": ("ReaderGroup",),
     "evqr.line.reader": ("Reader",),
     "evqr.line.records": (
         "ClockRecord",

@@ -50,9 +50,9 @@ class Pace:
     def _now(self) -> tuple[float, float]:
         return self._clocks.monotonic(), self._clocks.utc()
 
-    def came(self) -> None:
-        """Say that a chunk is here, which is about to be worked on."""
-        self._here = self._now()
+    def came(self, at_s: tuple[float, float] | None = None) -> None:
+        """Say that a chunk is here, since a time by both clocks, default now: it is about to be worked on."""
+        self._here = self._now() if at_s is None else at_s
 
     def reach(self, time_us: float) -> None:
         """Say that with the chunk that is here all events up to a time are [us]."""

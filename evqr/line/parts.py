@@ -372,3 +372,21 @@ def _each_once(sights: Sequence[Sight], until_us: float) -> tuple[CodeReading, .
             reading if before is None else replace(before, t_last_us=max(before.t_last_us, reading.t_last_us))
         )
     return tuple(readings.values())
+
+
+def parts_for(triggers: TriggerConfig | None, cfg: ReadConfig, size: tuple[int, int]) -> Parts:
+    """Give what makes parts: by triggers where there are any.
+
+    Parameters
+    ----------
+    triggers : TriggerConfig or None
+        Of which times triggers ask.
+    cfg, size : as of `Triggered`
+        The same.
+
+    Returns
+    -------
+    parts : Parts
+        New ones.
+    """
+    return FreeRunning(cfg, size) if triggers is None else Triggered(triggers, cfg, size)

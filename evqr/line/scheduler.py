@@ -24,7 +24,7 @@ from evqr.line.history import Skipped
 from evqr.line.hot_pixels import HotPixels
 from evqr.line.match import Rule
 from evqr.line.pace import Pace
-from evqr.line.parts import FreeRunning, Part, Parts, Triggered
+from evqr.line.parts import Part, parts_for
 from evqr.line.records import (
     ClockRecord,
     GapRecord,
@@ -68,6 +68,11 @@ class LineScheduler:
         Of which times triggers ask.
     jobs, time_unit, line, camera, sequence : as of `Reader`
         The same.
+
+    Attributes
+    ----------
+    arrived_s : (float, float), optional [s]
+        When what comes next was here, by `time.monotonic` and `time.time`. Default: when it is given.
     """
 
     def __init__(
@@ -82,14 +87,13 @@ class LineScheduler:
         camera: str,
         sequence: int,
     ) -> None:
+        self.arrived_s: tuple[float, float] | None = None
         self._size = size
         self._unit: TimeUnit = time_unit
         self._rules = {name: Rule(cfg) for name, cfg in (jobs or {}).items()}
         self._solver = solver
         self._config = solver.config
-        self._parts: Parts = (
-            FreeRunning(self._config, size) if triggers is None else Triggered(triggers, self._config, size)
-        )
+        self._parts = parts_for(triggers, self._config, size)
         self._identity = {"line": line, "camera": camera}
         self._sequence, self._part, self._epoch = sequence, 0, 0
         self._codes = self._codes_before = 0
@@ -168,6 +172,11 @@ class LineScheduler:
         self._job = job
 
     @property
+    def known_us(self) -> int:
+        """Time up to which all events are here [us]."""
+        return self._intake.known_us or 0
+
+    @property
     def hot_pixels(self) -> list[tuple[int, int]]:
         """Column and row of the pixels whose events are left out, since they fire all the time [px]."""
         return [] if self._hot is None else self._hot.pixels
@@ -181,7 +190,7 @@ class LineScheduler:
     # ---- one after another
 
     def _enter(self) -> None:
-        self._pace.came()
+        self._pace.came(self.arrived_s)
         known_us = self._intake.known_us
         while self._triggers:
             trigger, job = self._triggers.popleft()
