@@ -187,7 +187,9 @@ class ReaderGroup:
         ----------
         camera : str
             Its name.
-        t_us, kind, index, ticks : as of `Reader.trigger`
+        t_us : int [us]
+            When, by the clock of the camera's events.
+        kind, index, ticks : as of `Reader.trigger`
             The same.
 
         Raises

@@ -108,16 +108,16 @@ class Ledger:
             A `GapRecord`, once until it is back, and a NO READ a trigger.
         """
         said = {"reason": Reason.WORKER_LOST.explained(reason), "reason_code": Reason.WORKER_LOST}
-        told: list[LineRecord] = []
+        made: list[LineRecord] = []
         if not self._down:
-            told.append(self._made(GapRecord, t_from_us=self.known_us, t_to_us=self.known_us, **said))
+            made.append(self._made(GapRecord, t_from_us=self.known_us, t_to_us=self.known_us, **said))
         for trigger, job in self._owed:
             asked = {"trigger": trigger.index, "ticks": trigger.ticks, "job": job}
             matches = False if job in self._jobs else None
-            told.append(self._made(PartRecord, part=self._counted("part"), matches=matches, **asked, **said))
+            made.append(self._made(PartRecord, part=self._counted("part"), matches=matches, **asked, **said))
         self._owed, self._down = [], True
         self._before = dict(self._next)  # the next reader begins at 0, and with the clock there is
-        return told
+        return made
 
     def _going_on(self, record: LineRecord) -> LineRecord:
         before = self._before

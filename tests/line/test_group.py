@@ -163,11 +163,11 @@ def test_a_ledger_knows_what_is_owed():
     for trigger in (first, second, end):
         ledger.owe(trigger)
     assert end.index is None and ledger.numbered(Trigger(50)).index == 2  # which waits in its queue
-    (told,) = ledger.take([PartRecord(sequence=0, part=0, trigger=0, epoch=2)], 50)
-    assert (told.sequence, told.epoch) == (7, 2)
+    (again,) = ledger.take([PartRecord(sequence=0, part=0, trigger=0, epoch=2)], 50)
+    assert (again.sequence, again.epoch) == (7, 2)
     gap, part = ledger.lost("exit status 1")
     assert (gap.sequence, gap.t_from_us, gap.epoch, part.sequence) == (8, 50, 2, 9)
     assert (part.part, part.trigger, part.job, part.matches) == (1, 1, "job", False)
     assert ledger.lost("exit status 1") == []
-    (told,) = ledger.take([replace(told, sequence=0, epoch=0)], 60)
-    assert (told.sequence, told.part, told.epoch) == (10, 2, 2)
+    (again,) = ledger.take([replace(again, sequence=0, epoch=0)], 60)
+    assert (again.sequence, again.part, again.epoch) == (10, 2, 2)

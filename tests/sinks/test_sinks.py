@@ -204,7 +204,7 @@ def free_port():
 
 
 def until(condition):
-    ends = time.monotonic() + 10
+    ends = time.monotonic() + 60
     while not condition():
         assert time.monotonic() < ends
         time.sleep(0.005)
