@@ -18,6 +18,7 @@ if TYPE_CHECKING:
     from evqr.config import (
         AlignConfig,
         DecodeConfig,
+        EdgeConfig,
         FinderConfig,
         FinderPass,
         JobConfig,
@@ -100,6 +101,7 @@ __all__ = [
     "ContentType",
     "DecodeConfig",
     "Detection",
+    "EdgeConfig",
     "EventArray",
     "EventBatch",
     "EventBuffer",
@@ -171,6 +173,7 @@ _HOME = {
     "evqr.config": (
         "AlignConfig",
         "DecodeConfig",
+        "EdgeConfig",
         "FinderConfig",
         "FinderPass",
         "JobConfig",

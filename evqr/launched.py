@@ -19,6 +19,7 @@ LAUNCHED = (
     ("local_maxima", {}),
     ("merge_maxima", {}),
     ("match_corners", {}),
+    ("line_runs", {}),
     ("score_poses", {}),
     ("align_poses", {"C": MOMENTS, "N": 1}),
     ("align_poses", {"C": MOMENTS, "N": 2}),

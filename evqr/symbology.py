@@ -15,7 +15,7 @@ class Symbology(str, Enum):
     RMQR_CODE = "RMQRCode"
     """ISO/IEC 23941"""
     DATA_MATRIX = "DataMatrix"
-    """ISO/IEC 16022; not searched for yet"""
+    """ISO/IEC 16022, and ISO/IEC 21471"""
     AZTEC = "Aztec"
     """ISO/IEC 24778"""
 
@@ -50,10 +50,6 @@ class Symbology(str, Enum):
             return cls(name)
         except ValueError:
             raise ValueError(f"symbology must be one of {', '.join(cls)}, got {name!r}") from None
-
-
-SEARCHED = (Symbology.QR_CODE, Symbology.MICRO_QR_CODE, Symbology.RMQR_CODE, Symbology.AZTEC)
-"""Kinds that the search finds; of the others grids are decoded."""
 
 
 def _plain(name: str) -> str:

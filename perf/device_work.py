@@ -151,6 +151,7 @@ WORK: dict[str, Callable[[Sizes], Work]] = {
     "correlate_templates.best_template": lambda s: Work(1, BUSY * s.of("mix", 1), 5),
     "local_maxima.local_maxima": lambda s: Work(s.of("response"), BUSY * s.of("response") * 9, 1),
     "merge_maxima.merge_maxima": _merged,
+    "line_runs.line_runs": lambda s: Work(s.of("image", 1), s.of("image", 1), 12),
     "match_corners.match_corners": lambda s: Work(s.of("peaks", 1), s.of("peaks", 1), 0),
 }
 """By operation and kernel."""

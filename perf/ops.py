@@ -237,6 +237,16 @@ def local_maxima(size: Size, rng, dtype, most: int = 8) -> Problem:
     return problem("local_maxima", inputs, response.size, 8 * response.size, most=most)
 
 
+def line_runs(size: Size, rng, dtype, angles: int = 32) -> Problem:
+    image = rng.normal(size=(size.batch, size.side, size.side)).astype(dtype)
+    slope, steep = np.linspace(-1, 1, angles).astype(dtype), (np.arange(angles) % 2).astype(np.int32)
+    threshold = np.ones((size.batch, angles), dtype)
+    steps = image.size * angles
+    return problem(
+        "line_runs", [image, slope, steep, threshold, 3.0], steps, 6 * steps, "step", lines=size.side
+    )
+
+
 def merge_maxima(size: Size, rng, dtype, keep: int = 48) -> Problem:
     count = 4 * size.side
     columns = [rng.uniform(-1, 1, (size.batch, count))]
@@ -536,6 +546,7 @@ PROBLEMS: dict[str, Callable[..., Problem]] = {
         local_maxima,
         merge_maxima,
         match_corners,
+        line_runs,
         sample_moments,
         sample_moments_adjoint,
         align_poses,

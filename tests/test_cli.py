@@ -289,7 +289,6 @@ def test_jobs_read_in_workers(capsys, tmp_path):
         ("read FILE --lag-us 300", "'300' is no pair of lags"),
         ("read FILE --vote loudest", "'loudest'"),
         ("read FILE --symbologies qr,code39", "symbology must be one of QRCode, MicroQRCode"),
-        ("read FILE --symbologies datamatrix", "symbologies must be of QRCode, MicroQRCode"),
         (
             "read FILE --charset klingon",
             "charset must be a name, as utf-8 or shift_jis, or None, got 'klingon'",

@@ -12,13 +12,14 @@ from evqr.config.decode import DecodeConfig
 from evqr.config.fit import AlignConfig, LagConfig, ModulesConfig
 from evqr.config.line import JobConfig, LineConfig, TriggerConfig
 from evqr.config.read import ReadConfig, Vote
-from evqr.config.search import FinderConfig, FinderPass, MotionConfig
+from evqr.config.search import EdgeConfig, FinderConfig, FinderPass, MotionConfig
 from evqr.config.settings import Settings
 from evqr.config.stream import SchedulerConfig, TrackConfig
 
 __all__ = [
     "AlignConfig",
     "DecodeConfig",
+    "EdgeConfig",
     "FinderConfig",
     "FinderPass",
     "JobConfig",

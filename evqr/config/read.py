@@ -9,10 +9,10 @@ from typing import Annotated
 from evqr.config.decode import DecodeConfig
 from evqr.config.fit import AlignConfig, LagConfig, ModulesConfig
 from evqr.config.line import LineConfig
-from evqr.config.search import FinderConfig, MotionConfig
+from evqr.config.search import EdgeConfig, FinderConfig, MotionConfig
 from evqr.config.settings import Count, NotEmpty, Range, Settings
 from evqr.config.stream import SchedulerConfig, TrackConfig
-from evqr.symbology import SEARCHED, Symbology
+from evqr.symbology import Symbology
 
 Lag = Annotated[float, Range(least=0.0, most=1e5)]
 
@@ -56,6 +56,8 @@ class ReadConfig(Settings):
         Motion from cold.
     finder : FinderConfig
         Search for finder patterns.
+    edges : EdgeConfig
+        Search for straight edges, of symbols that have no finder patterns.
     align : AlignConfig
         Pose and gain.
     lag : LagConfig
@@ -82,6 +84,7 @@ class ReadConfig(Settings):
     follow_px: Annotated[float, Range(least=0.2, most=1000.0)] = 8.0
     motion: MotionConfig = field(default_factory=MotionConfig)
     finder: FinderConfig = field(default_factory=FinderConfig)
+    edges: EdgeConfig = field(default_factory=EdgeConfig)
     align: AlignConfig = field(default_factory=AlignConfig)
     lag: LagConfig = field(default_factory=LagConfig)
     modules: ModulesConfig = field(default_factory=ModulesConfig)
@@ -112,9 +115,3 @@ class ReadConfig(Settings):
         if config is not None and not isinstance(config, cls):
             raise TypeError(f"config must be a ReadConfig or None, got {type(config).__name__}")
         return cls() if config is None else config
-
-    def __post_init__(self) -> None:
-        super().__post_init__()
-        for symbology in self.symbologies:
-            if symbology not in SEARCHED:
-                raise ValueError(f"symbologies must be of {', '.join(SEARCHED)}, got {symbology}")

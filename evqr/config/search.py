@@ -194,3 +194,39 @@ class FinderConfig(Settings):
         for name in ("passes", "unsure_turns"):
             if not getattr(self, name):
                 raise ValueError(f"{name} must be a tuple of at least one, got ()")
+
+
+@dataclass(frozen=True, kw_only=True)
+class EdgeConfig(Settings):
+    """Search for straight edges, and for the codes that have one as a leg of their L: Data Matrix.
+
+    Attributes
+    ----------
+    strength : float
+        Of an edge across the motion that counts, in the rms of the cells that have events. Chosen.
+    least_across : float
+        Sine of the angle between edge and motion below which edges count as at that angle. Chosen: those
+        that run along the motion cause few events.
+    least_sum : float
+        Sum over an edge of its strength beyond that. Chosen: the leg of a code of 32 px has 12.
+    most : int
+        Edges of a window that are tried, the best. Chosen.
+    min_match : float [nats]
+        What the correlation with its dashed sides must say for a code to be aligned. Chosen.
+    tries : int
+        Codes of a window that are aligned, the best. Chosen.
+    min_score : float
+        Mean correlation of an aligned code with all that is known, and with its dashed sides alone, for it to
+        be looked at closely, -1 to 1. Chosen.
+    failures : int
+        What is looked at closely in a window without being a code, in a row, at most. Chosen.
+    """
+
+    strength: Positive = 0.45
+    least_across: Annotated[float, Range(above=0.0, most=1.0)] = 0.25
+    least_sum: NotNegative = 8.0
+    most: Annotated[int, Range(least=1, most=256)] = 20
+    min_match: NotNegative = 3.0
+    tries: Annotated[int, Range(least=1, most=256)] = 32
+    min_score: Annotated[float, Range(least=-1.0, most=1.0)] = 0.5
+    failures: Annotated[int, Range(least=1, most=256)] = 4

@@ -26,7 +26,9 @@ from evqr.geometry import compose, inverse
 from evqr.motion import Motion
 from evqr.reason import Reason
 from evqr.search.bulls_eyes import codes_of_bulls_eyes
-from evqr.search.finder import Found, finding
+from evqr.search.corners import codes_of_edges, with_solid_corners
+from evqr.search.edges import Edges, straight_edges
+from evqr.search.finder import Found, Peaks, finding
 from evqr.search.hypothesis import Hypotheses
 from evqr.search.models import cores, kinds_of, sizes
 from evqr.search.pyramid import Pyramid
@@ -34,6 +36,9 @@ from evqr.search.score import score
 from evqr.search.screen import Candidate, screen
 from evqr.search.singles import codes_of_singles, with_single_patterns
 from evqr.search.triples import codes_of_triples
+from evqr.symbol.decode import decode_grid
+from evqr.symbol.decoded import Decoded
+from evqr.symbol.space import Landmark
 from evqr.symbol.symbols import SYMBOLS
 from evqr.symbology import Symbology
 from evqr.workspace import Workspace
@@ -55,6 +60,7 @@ class _Window:
     ) -> None:
         self.index, self.motion, self.tau_us = index, motion, tau_us
         self.codes: list[Detection] = []
+        self._unconfirmed: list[Detection] = []
         self.tried = 0
         # what agrees best: of what was looked at closely, and of what was only scored
         self._closest: tuple[float, Target | None] = 0.0, None
@@ -93,6 +99,20 @@ class _Window:
         asked = self._cfg.symbologies
         none = self.sure or not (with_single_patterns(asked) or Symbology.AZTEC in asked)
         return np.flatnonzero(~self._taken)[: 0 if none else self._cfg.finder.single_patterns]
+
+    @property
+    def by_edges(self) -> bool:
+        """Whether symbols with solid sides are looked for, now."""
+        return not self.sure and with_solid_corners(self._cfg.symbologies)
+
+    def take_edges(self, edges: Edges) -> None:
+        """Take straight edges, numbered behind the finder patterns, as what a code may be found by."""
+        table = np.zeros((len(edges), 5), np.float32)
+        table[:, 1:3] = 0.5 * (edges.start + edges.end)
+        self.peaks = Peaks(np.concatenate([self.peaks.table, table]))
+        self._taken = np.concatenate([self._taken, np.zeros(len(edges), np.bool_)])
+        self._failures, self._most = 0, self._cfg.edges.failures
+        self._matching, self._match = self._matching[:0], self._match[:0]
 
     def scored(self, hypotheses: Hypotheses, scores: NDArray[np.float32], least: float) -> None:
         """Take scores (N, 2) of hypotheses: those that match are looked at, best first."""
@@ -152,6 +172,11 @@ class _Window:
         if nearest is None or score > closest:
             self._closest = max(score, 0.0), target
 
+    def unconfirmed(self, code: Detection) -> None:
+        """Note a code that agrees, though its modules cannot be read in this window."""
+        self._failures += 1
+        self._unconfirmed.append(code)
+
     def found(self, code: Detection) -> None:
         """Take a code.  Where it agrees well, the finder patterns within it are its own."""
         self.codes.append(code)
@@ -167,7 +192,7 @@ class _Window:
     def result(self) -> tuple[Detection, ...] | NotFound:
         """Give the codes, best first, none over another; or why there is none."""
         kept: list[Detection] = []
-        for code in sorted(self.codes, key=lambda code: -code.score):
+        for code in sorted(self.codes or self._unconfirmed, key=lambda code: -code.score):
             if not any(_overlap(code.target, other.target) for other in kept):
                 kept.append(code)
         if kept:
@@ -253,6 +278,9 @@ def find_codes(
     if _score_singles(windows, pyramid, cfg, workspace, clock):
         while rows := [row for window in windows for row in window.rows()]:
             _try(batch, rows, pyramid, cfg, workspace, clock)
+    if _score_edges(windows, pyramid, cfg, workspace, clock):
+        while rows := [row for window in windows for row in window.rows()]:
+            _try(batch, rows, pyramid, cfg, workspace, clock)
     return [window.result() for window in windows]
 
 
@@ -320,6 +348,31 @@ def _score_singles(
                 its = of_each == k
                 both = np.column_stack([scores[its], scores[its]])
                 windows[k].scored(hypotheses[its], both, cfg.finder.min_single_match)
+    return True
+
+
+def _score_edges(
+    windows: list[_Window], pyramid: Pyramid, cfg: ReadConfig, workspace: Workspace, clock: StageClock
+) -> bool:
+    """Score straight edges as sides of codes; False where there are none."""
+    asked = [window for window in windows if window.by_edges]
+    if not asked:
+        return False
+    which = [window.index for window in asked]
+    directions = np.array([window.motion.direction for window in asked])
+    with clock("finder"):
+        edges = straight_edges(pyramid, which, directions, cfg.edges, workspace=workspace)
+    with clock("pose"):
+        first = [len(window.peaks) for window in asked]
+        hypotheses, of_each, scores = codes_of_edges(
+            edges, which, directions, first, pyramid, cfg, workspace=workspace
+        )
+        for window, its in zip(asked, edges, strict=True):
+            window.take_edges(its)
+            mine = of_each == window.index
+            if mine.any():
+                both = np.column_stack([scores[mine], scores[mine]])
+                window.scored(hypotheses[mine], both, cfg.edges.min_score)
     return True
 
 
@@ -396,12 +449,37 @@ def _try(
         clock=clock,
     )
     codes = _as_shown(picked.pick([k for k, _, _ in good]), codes, cfg, workspace, clock)
-    for (_, window, _), code in zip(good, codes, strict=True):
+    confirmed = _confirmed(codes, cfg, workspace, clock)
+    for (_, window, _), code, sure in zip(good, codes, confirmed, strict=True):
+        if not sure:
+            window.unconfirmed(code)
+            continue
         unread = code.space.version in SYMBOLS[code.space.symbology].cores
         if unread or (code.space.single_pattern and code.score < one.single_score):
             window.failed(code.score, code.target)
         else:
             window.found(code)
+
+
+def _confirmed(
+    codes: list[Detection], cfg: ReadConfig, workspace: Workspace, clock: StageClock
+) -> list[bool]:
+    """Tell whether codes are what they are taken for: those with solid sides, where they can be read.
+
+    Many things have straight edges, and the quiet zone of a symbol on a label looks like the light sides of a
+    larger, inverted one.
+    """
+    sure = [code.space.anchors[0].kind is not Landmark.SOLID_CORNER for code in codes]
+    asked = [k for k, one in enumerate(sure) if not one]
+    if asked:
+        with clock("stage_two"):
+            weights = [weight_of(codes[k].noise) for k in asked]
+            equations = [codes[k].equations for k in asked]
+            grids = solve_modules(equations, cfg.modules, workspace=workspace, weights=weights)
+        for k, grid in zip(asked, grids, strict=True):
+            read = decode_grid(grid.q, codes[k].space, config=cfg.decode, effort="full")
+            sure[k] = isinstance(read, Decoded)
+    return sure
 
 
 def _as_shown(

@@ -58,8 +58,12 @@ def sizes() -> tuple[Size, ...]:
     names = [(symbology, version) for symbology, symbol in SYMBOLS.items() for version in symbol.sizes]
     names += [(symbology, head) for symbology, symbol in SYMBOLS.items() for head in symbol.heads]
     found += [Size(Symbology.AZTEC, version, aztec.anchors(version)) for version in aztec.CORES]
+    solid = Landmark.SOLID_CORNER
     for symbology, version in names:
         every = SYMBOLS[symbology].anchors(version)
+        if [anchor.kind for anchor in every] == [solid]:
+            found.append(Size(symbology, version, every))
+            continue
         anchors = tuple(anchor for anchor in every if anchor.kind is Landmark.FINDER_PATTERN)
         if len(anchors) in (1, 3):
             found.append(Size(symbology, version, anchors))
@@ -97,6 +101,8 @@ class Models:
 
     Attributes
     ----------
+    name : str
+        What they are called.
     points : (S, 4) float32 [modules, modules, 1/module, 1/module]
         Code coordinates (u, v), and the slope of the printed luminance there.
     ptr : (K + 1, 3) int32
@@ -104,6 +110,7 @@ class Models:
         nothing.
     """
 
+    name: str
     points: NDArray[np.float32]
     ptr: NDArray[np.int32]
 
@@ -118,12 +125,48 @@ def models() -> Models:
         finders = [anchor for anchor in size.anchors if anchor.kind is Landmark.FINDER_PATTERN]
         patterns = [_pattern() + np.array((anchor.u, anchor.v, 0.0, 0.0)) for anchor in finders]
         lines = [_line(timing) for timing in SYMBOLS[size.symbology].timing(size.version)]
+        if size.anchors[0].kind is Landmark.SOLID_CORNER:
+            shape = SYMBOLS[size.symbology].sizes[size.version]
+            patterns = [_solid_sides(*shape)]
         middle = end + sum(map(len, patterns))
         ptr[k] = end, middle, middle + sum(map(len, lines))
         parts += [*patterns, *lines]
         end = ptr[k, 2]
     ptr[-1] = end
-    return Models(closed(np.concatenate(parts).astype(np.float32)), closed(ptr))
+    return Models("sizes", closed(np.concatenate(parts).astype(np.float32)), closed(ptr))
+
+
+@functools.cache
+def dashes() -> Models:
+    """Make points of the dashed sides of all sizes, of which number 2 k and 2 k + 1 are of size k.
+
+    A side is a wave whose phase is not known before the pose is: two slopes stand for what the edges between
+    its modules say, and for what the middles of its modules say.
+    """
+    parts: list[NDArray[np.float64]] = []
+    ptr = np.zeros((2 * len(sizes()) + 1, 3), np.int32)
+    end = 0
+    for k, size in enumerate(sizes()):
+        sides = []
+        if size.anchors[0].kind is Landmark.SOLID_CORNER:
+            sides = [_wave(timing) for timing in SYMBOLS[size.symbology].timing(size.version)]
+        for side in range(2):
+            count = len(sides[side]) if sides else 0
+            ptr[2 * k + side] = end, end + count, end + count
+            end += count
+        parts += sides
+    ptr[-1] = end
+    return Models("dashes", closed(np.concatenate(parts).astype(np.float32)), closed(ptr))
+
+
+def _wave(timing: Timing) -> NDArray[np.float64]:
+    """Points of a timing pattern, half a module apart."""
+    half = np.arange(2 * timing.count)
+    points = np.zeros((len(half), 4))
+    points[:, 0], points[:, 1] = timing.u, timing.v
+    points[:, 0 if timing.along_u else 1] += 0.5 * half - 0.5
+    points[half, 2 + half % 2] = 1.0 - 2.0 * (half // 2 % 2)
+    return points
 
 
 @functools.cache
@@ -139,6 +182,16 @@ def _pattern() -> NDArray[np.float64]:
         along_u += change * du / size * fv
         along_v += change * fu * dv / size
     return np.stack([u, v, along_u, along_v], axis=1)
+
+
+def _solid_sides(rows: int, columns: int) -> NDArray[np.float64]:
+    """Points of the outer edges of the left column and of the bottom row, one a module, which are dark."""
+    points = np.zeros((rows + columns, 4))
+    points[:rows, 1], points[rows:, 0] = np.arange(rows) + 0.5, np.arange(columns) + 0.5
+    points[rows:, 1] = rows
+    slope = 2.0 / (math.sqrt(2.0 * math.pi) * SIGMA)
+    points[:rows, 2], points[rows:, 3] = -slope, slope
+    return points
 
 
 @functools.cache

@@ -10,6 +10,7 @@ import functools
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -210,6 +211,19 @@ class Pyramid(Step):
                 scratch = workspace.scratch("reduce_image", B=self._count, **sizes)
                 backend.reduce_image(finer, cfg.scale_ratio, *scratch, image)
             finer = image
+
+    @property
+    def finest(self) -> Any:
+        """The finest level (B, rows, columns), on the device."""
+        half, level = self._cfg.half, self.levels[0]
+        return self._whole[:, level.top : level.top + level.rows, half : half + level.columns]
+
+    def finest_of(self, windows: Sequence[int]) -> list[NDArray[np.float32]]:
+        """Give the finest level of some windows, (rows, columns) of their regions, on the host."""
+        half, top, whole = self._cfg.half, self.levels[0].top, self._workspace.get(self._whole)
+        return [
+            whole[k, top : top + self.regions[k].height, half : half + self.regions[k].width] for k in windows
+        ]
 
     def places(self, window: NDArray[np.intp], pose: NDArray[np.float64], cells_a_module: float) -> Places:
         """Give the places of affine poses (N, 3, 3) [px] in windows (N,).

@@ -6,7 +6,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from evqr.config import AlignConfig
-from evqr.search.models import models
+from evqr.search.models import Models, models
 from evqr.search.pyramid import Places, Pyramid
 from evqr.workspace import Images, Step, Workspace
 
@@ -17,17 +17,18 @@ LEAST_ROOM = 64
 class Score(Step):
     """Scores so many poses, on some images."""
 
-    def __init__(self, images: Images, room: int, cfg: AlignConfig, workspace: Workspace) -> None:
+    def __init__(
+        self, images: Images, room: int, known: Models, cfg: AlignConfig, workspace: Workspace
+    ) -> None:
         super().__init__(workspace)
         staging = self._staging
         self._images, self._ridge = images.device, cfg.ridge
         self._window, self._size = (staging.input((room,), np.int32) for _ in range(2))
         self._part = staging.input((room, 3), np.int32)
         self._pose, self._score = staging.input((room, 9)), staging.output((room, 3))
-        known = models()
         self._nothing = len(known.ptr) - 1
-        self._ptr = workspace.table(("model ptr",), known.ptr)
-        self._points = workspace.table(("model points",), known.points)
+        self._ptr = workspace.table((known.name, "ptr"), known.ptr)
+        self._points = workspace.table((known.name, "points"), known.points)
 
     def write(self, places: Places, size: NDArray[np.intp], pose: NDArray[np.float64]) -> None:
         """Say which poses [cells] of which sizes, and where they are; other rows are of nothing."""
@@ -56,6 +57,7 @@ def score(
     cfg: AlignConfig,
     *,
     workspace: Workspace,
+    known: Models | None = None,
 ) -> NDArray[np.float32]:
     """Score hypotheses by their finder patterns and timing alone, as they are.
 
@@ -66,13 +68,15 @@ def score(
     window : (N,) intp
         Which of them each is in.
     size : (N,) intp
-        Which of `evqr.search.models.sizes` each is of.
+        Which of `evqr.search.models.sizes` each is of, or which of the models.
     pose : (N, 3, 3) float64
         Code coordinates to px, affine.
     cfg : AlignConfig
         Settings.
     workspace : Workspace
         Buffers.
+    known : Models
+        Default: those of the sizes.
 
     Returns
     -------
@@ -80,8 +84,9 @@ def score(
         Correlation with the finder patterns, and with the timing patterns, for one gain.
     """
     room = max(LEAST_ROOM, 1 << (len(size) - 1).bit_length())
+    which = known or models()
     step = pyramid.images.once(
-        ("score", room, cfg.ridge), lambda: Score(pyramid.images, room, cfg, workspace)
+        ("score", room, which.name, cfg.ridge), lambda: Score(pyramid.images, room, which, cfg, workspace)
     )
     places = pyramid.places(window, pose, cfg.cells_a_module)
     step.write(places, size, places.in_cells(pose))

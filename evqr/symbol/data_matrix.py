@@ -25,7 +25,7 @@ from evqr.symbol.decoded import Decoded, DecodeFailure, Effort
 from evqr.symbol.payload import Payload, StructuredAppend
 from evqr.symbol.qr_segments import Segments
 from evqr.symbol.reed_solomon import ReedSolomon, Symbols
-from evqr.symbol.space import Anchor, CodeSpace, Timing, closed
+from evqr.symbol.space import Anchor, CodeSpace, Landmark, Timing, closed
 from evqr.symbology import Symbology
 
 QUIET_ZONE = 1
@@ -41,13 +41,17 @@ SIZES: Mapping[str, tuple[int, int]] = MappingProxyType(
 
 
 def anchors(version: str) -> tuple[Anchor, ...]:
-    """Return what the search looks for: nothing yet."""
-    return ()
+    """Return the corner at which the two edges of the L meet."""
+    return (Anchor(Landmark.SOLID_CORNER, 0.0, float(SIZES[version][0])),)
 
 
 def timing(version: str) -> tuple[Timing, ...]:
-    """Return the timing patterns that the search scores by: none yet."""
-    return ()
+    """Return the timing patterns of a version: the sides across from the L, which end in a light corner."""
+    rows, columns = SIZES[version]
+    return (
+        Timing(0.5, 0.5, True, columns - 1, 1 + QUIET_ZONE),
+        Timing(columns - 0.5, 1.5, False, rows - 1, QUIET_ZONE),
+    )
 
 
 @functools.cache

@@ -26,6 +26,8 @@ class Landmark(str, Enum):
     """squares of 7, 5 and 3 modules in one another: dark, light, dark"""
     BULLS_EYE = "bull's eye"
     """squares of 9, 7, 5, 3 and 1 modules in one another: dark and light in turn"""
+    SOLID_CORNER = "solid corner"
+    """two sides of dark modules that meet; the other two are dark and light in turn"""
 
 
 @dataclass(frozen=True)

@@ -221,4 +221,18 @@ OPERATIONS = (
         ),
         parameters=(size("most", least=1),),
     ),
+    Operation(
+        name="line_runs",
+        file="runs",
+        arguments=(
+            floats("image", "B", "Y", "X"),
+            floats("slope", "A"),
+            ints("steep", "A"),
+            floats("threshold", "B", "A"),
+            setting("most", 1.0),
+            overwritten("runs_out", "B", "A", 2, "lines"),
+        ),
+        parameters=(size("lines", least=1),),
+        variants=(Variant(tile=16, device="cpu"), Variant(tile=1)),
+    ),
 )

@@ -279,6 +279,21 @@ def local_maxima(rng, dtype, most=3):
     return call("local_maxima", inputs, most=most)
 
 
+def line_runs(rng, dtype, lines=45):
+    """An edge across each image, light, then dark, in noise; one direction is left out."""
+    y, x = np.indices((Y, X))
+    image = rng.normal(size=(B, Y, X))
+    image[0] += 9.0 * np.exp(-(((x - 0.4 * y - 9.0) / 1.3) ** 2)) * (y > 5)
+    image[1] -= 9.0 * np.exp(-(((y - 0.2 * x - 4.0) / 1.3) ** 2)) * (x < 20)
+    angle = np.linspace(0.0, np.pi, 7)
+    steep = np.abs(np.sin(angle)) > np.abs(np.cos(angle))
+    slope = np.where(steep, np.cos(angle), np.sin(angle)) / np.where(steep, np.sin(angle), np.cos(angle))
+    threshold = rng.uniform(2.0, 3.0, (B, 7))
+    threshold[1, 3] = 0.0
+    inputs = [image.astype(dtype), slope.astype(dtype), steep.astype(np.int32), threshold.astype(dtype), 3.0]
+    return call("line_runs", inputs, lines=lines)
+
+
 def merge_maxima(rng, dtype, count=60, keep=9):
     maxima = np.stack(
         [
@@ -548,6 +563,7 @@ CALLS = [
     local_maxima,
     merge_maxima,
     match_corners,
+    line_runs,
     sample_moments,
     sample_moments_adjoint,
     score_poses,

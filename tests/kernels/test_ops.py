@@ -65,6 +65,7 @@ GOOD = {
     ),
     "merge_maxima": ([f32(B, 9, 5)], {"apart": 2.0, "log_ratio": 0.3, "most": 4}),
     "match_corners": ([f32(B, 6, 5), f32(5)], {}),
+    "line_runs": ([f32(B, Y, X), f32(4), np.zeros(4, np.int32), f32(B, 4) + 1], {"most": 3.0, "lines": 9}),
     "sample_moments": ([f32(B, Y, X), np.zeros(3, np.int32), f32(3, 9), f32(20, 2), f32(20, 4)], {}),
     "sample_moments_adjoint": (
         [f32(B, Y, X), np.zeros(3, np.int32), f32(3, 9), f32(20, 2), f32(20, 4), f32(3, 5)],
@@ -366,6 +367,8 @@ BAD = [
     ("local_maxima", {"most": 0}, ValueError, "most must be at least 1, got 0"),
     ("merge_maxima", {"arg0": f32(B, 9, 4)}, ValueError, "maxima must have shape (B, N, 5)"),
     ("match_corners", {"arg1": f32(4)}, ValueError, "tolerances must have shape (5,), got (4,)"),
+    ("line_runs", {"most": 0.5}, ValueError, "most must be at least 1.0, got 0.5"),
+    ("line_runs", {"arg3": f32(B, 5)}, ValueError, "threshold must have shape (B, A)"),
     ("reduce_image", {"ratio": 0.5}, ValueError, "ratio must be at least 1.0, got 0.5"),
     ("reduce_image", {"ratio": float("nan")}, ValueError, "ratio must be at least 1.0, got nan"),
     ("correlate_templates", {"arg2": f32(B, 5, 5, 7)}, ValueError, "basis must have shape (B, N, N, 5)"),
