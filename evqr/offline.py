@@ -539,6 +539,8 @@ def _window_code(found: Detection, estimate: CodeEstimate, outcome: Decoded | De
         ec_level=outcome.ec_level if read else None,
         mask=outcome.mask if read else None,
         confidence=outcome.confidence if read else None,
+        log10_chance=outcome.log10_chance if read else None,
+        unused_correction=outcome.unused_correction if read else None,
         modules=estimate.q,
         motion_px_per_s=found.motion.velocity,
         affine=affine_to_code(found.pose, found.space.shape),

@@ -89,8 +89,13 @@ class CodeReading(_OfSymbol, Payload):
         Velocity in the image.
     confidence : float
         That the text is right, 0 to 1.
+    log10_chance : float
+        Decimal logarithm of the number of contents expected to agree as well by chance, an upper bound: what
+        the confidence is worked out from.
     errors_corrected : int
         Codewords that error correction changed.
+    unused_correction : float
+        Share of the error correction that was not needed, 0 to 1: of the block that has least left.
     modules : (V, U) int8
         The symbol as decoded: -1 dark, +1 light.
     estimate : (V, U) float32
@@ -110,7 +115,9 @@ class CodeReading(_OfSymbol, Payload):
     corners_px: NDArray[np.float64]
     motion_px_per_s: NDArray[np.float64]
     confidence: float
+    log10_chance: float
     errors_corrected: int
+    unused_correction: float
     modules: NDArray[np.int8] = field(repr=False)
     estimate: NDArray[np.float32] = field(repr=False)
     compute_ms: Mapping[str, float] = field(compare=False)
@@ -176,7 +183,9 @@ class CodeReading(_OfSymbol, Payload):
             "corners_px": plain(self.corners_px, 3),
             "motion_px_per_s": plain(self.motion_px_per_s, 2),
             "confidence": plain(self.confidence, 4),
+            "log10_chance": plain(self.log10_chance, 1),
             "errors_corrected": plain(self.errors_corrected),
+            "unused_correction": plain(self.unused_correction, 3),
             "compute_ms": plain(self.compute_ms, 3),
             "warnings": [*self.warnings, *([self.gs1_error] if self.gs1_error else [])],
             **_beside_text(self),
@@ -207,6 +216,8 @@ class WindowCode(_OfSymbol, Value):
         Of the symbol; None when not read, and where the symbology has none.
     confidence : float or None
         That the text is right, 0 to 1; None when not read.
+    log10_chance, unused_correction : float or None
+        As of `CodeReading`; None when not read.
     modules : (V, U) float32
         Estimate, < 0 dark, > 0 light.
     motion_px_per_s : (2,) float64 [px/s]
@@ -228,6 +239,8 @@ class WindowCode(_OfSymbol, Value):
     ec_level: str | None = None
     mask: int | None = None
     confidence: float | None = None
+    log10_chance: float | None = None
+    unused_correction: float | None = None
     modules: NDArray[np.float32]
     motion_px_per_s: NDArray[np.float64]
     affine: NDArray[np.float64]
@@ -257,6 +270,8 @@ class WindowCode(_OfSymbol, Value):
             "rows": self.rows,
             "columns": self.columns,
             "confidence": plain(self.confidence, 4),
+            "log10_chance": plain(self.log10_chance, 1),
+            "unused_correction": plain(self.unused_correction, 3),
             "modules": module_rows(self.modules),
             "motion_px_per_s": plain(self.motion_px_per_s, 2),
             "affine": plain(self.affine.ravel(), 8),

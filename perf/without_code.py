@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from evqr.events.array import EventArray
-from evqr.simulate.config import CodePlacement, SceneConfig, sensor_of
+from evqr.simulate.config import CodePlacement, SceneConfig, SensorConfig, sensor_of
 from evqr.simulate.geometry import plan_motion
 from evqr.simulate.printed import PrintedSymbol
 from evqr.simulate.sensor import RawEvents, add_noise, draw_pixels, read_out, run_pixels
@@ -43,19 +43,33 @@ def simulated(
     kind: str, *, text: str = "ANOTHER", angle: float = 0.0, module_px: float = 6.0, preset: str, **scene: Any
 ) -> EventArray:
     """Simulate a label with a print of a kind, or `NOISE`; further arguments as of `SceneConfig`."""
+    squares = None if kind == NOISE else printed(kind, text, scene.get("seed", 0))
+    return label(squares, angle=angle, module_px=module_px, preset=preset, **scene)
+
+
+def label(
+    squares: NDArray[np.uint8] | None,
+    *,
+    angle: float = 0.0,
+    module_px: float = 6.0,
+    quiet: int = 2,
+    preset: str | SensorConfig,
+    **scene: Any,
+) -> EventArray:
+    """Simulate a label with squares (V, U), 1 dark, and so many light ones around; None: no object."""
     sensor, view = sensor_of(preset), SceneConfig(**scene)
     random = [np.random.default_rng(s) for s in np.random.SeedSequence(view.seed).spawn(2)]
-    if kind == NOISE:
+    if squares is None:
         raw, motion = RawEvents(t=np.empty(0), address=np.empty(0, np.int64)), plan_motion(view, [])
     else:
-        symbol = _label(printed(kind, text, view.seed), angle, module_px)
+        symbol = _symbol(squares, angle, module_px, quiet)
         motion = plan_motion(view, [symbol])
         texture, background = draw_object(view, [symbol], random[0]), draw_background(view, random[0])
         raw = run_pixels(view, sensor, motion, texture, background, draw_pixels(view, sensor, random[1]))
     return read_out(add_noise(raw, view, sensor, motion, random[1]), view, sensor, motion, random[1])
 
 
-def _label(modules: NDArray[np.uint8], angle: float, module_px: float) -> PrintedSymbol:
+def _symbol(modules: NDArray[np.uint8], angle: float, module_px: float, quiet: int) -> PrintedSymbol:
     nothing = np.zeros(modules.shape, np.int8)
     space = CodeSpace(
         symbology=Symbology.DATA_MATRIX,  # of no consequence
@@ -63,7 +77,7 @@ def _label(modules: NDArray[np.uint8], angle: float, module_px: float) -> Printe
         known=nothing.astype(bool),
         values=nothing,
         anchors=(),
-        quiet_zone=2,
+        quiet_zone=quiet,
     )
     placement = CodePlacement(text="-", angle=angle, module_px=module_px)
     return PrintedSymbol(placement=placement, space=space, ec_level=None, mask=None, modules=modules)

@@ -26,7 +26,8 @@ from evqr_kernels.extras import install_command
 READING_KEYS = (
     "recording "
     "status text bytes_base64 symbology version ec_level mask rows columns t_first_us t_last_us t_read_us "
-    "windows corners_px motion_px_per_s confidence errors_corrected compute_ms warnings "
+    "windows corners_px motion_px_per_s confidence log10_chance errors_corrected unused_correction "
+    "compute_ms warnings "
     "symbology_identifier content_type eci charset charset_source structured_append gs1 message"
 ).split()
 WINDOW_KEYS = (

@@ -186,7 +186,8 @@ def _code(reading: CodeReading) -> dict[str, Any]:
         "t_last_us",
         "t_read_us",
     )
-    keys += ("windows", "corners_px", "motion_px_per_s", "confidence", "errors_corrected")
+    keys += ("windows", "corners_px", "motion_px_per_s", "confidence", "log10_chance")
+    keys += ("errors_corrected", "unused_correction")
     record = reading.to_dict()
     return {key: record[key] for key in keys}
 

@@ -48,6 +48,9 @@ class Corrected:
         Words that were erased.
     spare : int
         Check words that were not needed.
+    unused : float
+        Share of the check words that the cheaper way would have left: one for each word that was known to be
+        wrong, as erased ones are, or two for each that was wrong.
     log_chance : float
         Natural logarithm of the number of contents expected to agree as well by chance.
     """
@@ -56,6 +59,7 @@ class Corrected:
     changed: int
     erased: int
     spare: int
+    unused: float
     log_chance: float
 
 
@@ -142,7 +146,9 @@ def correct_block(
         coins = int(np.count_nonzero(soft) + (0 if beside is None else np.count_nonzero(beside)))
         chance = log_contents(received) - math.log(2.0) * coins
         if chance <= log_limit:
-            return Corrected(words=received, changed=0, erased=0, spare=code.n_check, log_chance=chance)
+            return Corrected(
+                words=received, changed=0, erased=0, spare=code.n_check, unused=1.0, log_chance=chance
+            )
     strength = np.abs(soft)
     scale = _mean(strength if beside is None else np.concatenate([strength, np.abs(beside)]))
     strength /= scale
@@ -167,11 +173,13 @@ def correct_block(
         if chance <= log_limit:
             changed = set(np.flatnonzero(words != received).tolist())
             n_errors = len(changed.difference(doubtful[:n_erased]))
+            spare = code.n_check - n_erased - 2 * n_errors
             return Corrected(
                 words=words,
                 changed=len(changed),
                 erased=n_erased,
-                spare=code.n_check - n_erased - 2 * n_errors,
+                spare=spare,
+                unused=max(spare, code.n_check - 2 * len(changed)) / code.n_check,
                 log_chance=chance,
             )
         least = min(least, chance)

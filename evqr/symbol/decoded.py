@@ -39,6 +39,8 @@ class Decoded(Value):
         Codewords that were erased.
     spare : int
         Unused check codewords, n_check - 2 errors - erasures: the least over the blocks.
+    unused_correction : float
+        Share of the error correction that was not needed, 0 to 1: the least over the blocks.
     modules : (V, U) int8
         The exact symbol, in the orientation of the grid: -1 dark, +1 light.
     log10_chance : float
@@ -56,6 +58,7 @@ class Decoded(Value):
     errors_corrected: int
     erasures: int
     spare: int
+    unused_correction: float
     modules: NDArray[np.int8]
     log10_chance: float
     confidence: float
