@@ -67,17 +67,9 @@ if TYPE_CHECKING:
         save_recording,
         summarise,
     )
-    from evqr.results import (
-        Candidate,
-        CodeReading,
-        Nearest,
-        ReadResult,
-        ReadStatus,
-        Statistics,
-        WindowCode,
-        WindowReading,
-    )
+    from evqr.results import CodeReading, ReadResult, ReadStatus, WindowCode, WindowReading
     from evqr.search.motion_estimate import MotionEstimate, QuietSpells
+    from evqr.seen import Candidate, Nearest, Statistics
     from evqr.solver import Solver
     from evqr.symbol.gs1 import Gs1Element
     from evqr.symbol.messages import Message, join_messages
@@ -240,17 +232,9 @@ _HOME = {
         "save_recording",
         "summarise",
     ),
-    "evqr.results": (
-        "Candidate",
-        "CodeReading",
-        "Nearest",
-        "ReadResult",
-        "ReadStatus",
-        "Statistics",
-        "WindowCode",
-        "WindowReading",
-    ),
+    "evqr.results": ("CodeReading", "ReadResult", "ReadStatus", "WindowCode", "WindowReading"),
     "evqr.search.motion_estimate": ("MotionEstimate", "QuietSpells"),
+    "evqr.seen": ("Candidate", "Nearest", "Statistics"),
     "evqr.solver": ("Solver",),
     "evqr.symbol.gs1": ("Gs1Element",),
     "evqr.symbol.messages": (

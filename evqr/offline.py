@@ -20,8 +20,9 @@ from evqr.motion import Motion
 from evqr.reason import Reason
 from evqr.recording import Recording, open_recording
 from evqr.recording.options import check_names
-from evqr.results import Candidate, CodeReading, Nearest, ReadResult, ReadStatus, WindowCode, WindowReading
+from evqr.results import CodeReading, ReadResult, ReadStatus, WindowCode, WindowReading
 from evqr.search.motion_estimate import MotionEstimate
+from evqr.seen import Candidate, Nearest
 from evqr.solver import Solver
 from evqr.solvers import solvers_for
 from evqr.stream.records import CodeLeft, CodeRead, CodeUnread, Searched, StreamRecord

@@ -22,6 +22,7 @@ import sys
 from collections import Counter
 from collections.abc import Iterator
 from concurrent.futures import ProcessPoolExecutor, as_completed
+from dataclasses import replace
 from functools import cache, partial
 from multiprocessing import get_context
 from pathlib import Path
@@ -278,13 +279,14 @@ def cut(rng: np.random.Generator, path: str) -> EventArray:
 
 
 def run_scene(
-    kind: str, number: int, *, seed: int, symbologies: tuple[str, ...] | None, recordings: list[str]
+    kind: str, number: int, *, seed: int, symbologies: tuple[Symbology, ...] | None, recordings: list[str]
 ) -> dict:
     """Make a scene, read its windows, and say how far they got."""
     names = [*KINDS, "recording"]
     rng = np.random.default_rng([seed, names.index(kind), number])
-    given = {} if symbologies is None else {"symbologies": symbologies}
-    config = ReadConfig(max_windows=WINDOWS, travel_px=float(rng.choice([1.0, 2.0, 2.0, 4.0])), **given)
+    config = ReadConfig(max_windows=WINDOWS, travel_px=float(rng.choice([1.0, 2.0, 2.0, 4.0])))
+    if symbologies is not None:
+        config = replace(config, symbologies=symbologies)
     if kind == "recording":
         events, printed_texts = cut(rng, recordings[number % len(recordings)]), set()
     else:
@@ -345,7 +347,7 @@ def main() -> int:
     symbologies = None
     if arguments.symbologies:
         named = arguments.symbologies
-        symbologies = tuple(each.value for each in SEARCHED) if named == "all" else tuple(named.split(","))
+        symbologies = SEARCHED if named == "all" else tuple(map(Symbology.parse, named.split(",")))
     outcomes = []
     if arguments.log is not None and arguments.log.exists():
         lines = arguments.log.read_text().splitlines()
@@ -378,10 +380,10 @@ def main() -> int:
 def readable(path: str) -> bool:
     """Whether a file is a recording that this installation opens."""
     try:
-        with evqr.open_recording(path):
-            return True
+        evqr.open_recording(path).close()
     except evqr.EvqrError:
         return False
+    return True
 
 
 if __name__ == "__main__":

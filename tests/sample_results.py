@@ -12,7 +12,8 @@ from evqr.events.array import EventArray
 from evqr.line.records import ClockRecord, GapRecord, OverloadRecord, PartRecord
 from evqr.reason import Reason
 from evqr.recording import save_recording
-from evqr.results import CodeReading, ReadResult, ReadStatus, Statistics, WindowCode, WindowReading
+from evqr.results import CodeReading, ReadResult, ReadStatus, WindowCode, WindowReading
+from evqr.seen import Statistics
 from evqr.symbol.payload import Payload
 
 RNG = np.random.default_rng(5)
@@ -37,6 +38,7 @@ READING = CodeReading(
     unused_correction=0.6,
     modules=MODULES,
     estimate=(0.8 * MODULES).astype(np.float32),
+    dark=np.where(MODULES < 0, 0.99, 0.01).astype(np.float32),
     compute_ms={"motion": 1.25, "total": 31.0},
 )
 

@@ -18,7 +18,7 @@ FLOORS = (
     ("fit",),
     ("search", "launched"),
     ("solver",),
-    ("solvers", "work", "results"),
+    ("solvers", "work", "seen", "results"),
     ("stream",),
     ("offline",),
     ("many", "output", "demo", "line"),

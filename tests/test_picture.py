@@ -21,7 +21,7 @@ from evqr.output import picture
 from evqr.output.overview import draw_recording
 from evqr.output.span import Timeline
 from evqr.recording import summarise
-from evqr.results import Candidate, Nearest
+from evqr.seen import Candidate, Nearest
 
 
 def moving_dots(reading):

@@ -15,7 +15,8 @@ from scenes import find
 from evqr import EventBatch, EventBuffer, Solver, errors, open_recording
 from evqr.demo import demo_recording
 from evqr.reason import Reason
-from evqr.results import ReadResult, ReadStatus, Statistics, WindowReading
+from evqr.results import ReadResult, ReadStatus, WindowReading
+from evqr.seen import Statistics
 from evqr.values import FrozenDict, Value, plain, read_only
 
 VALUES = [

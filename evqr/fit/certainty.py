@@ -93,8 +93,12 @@ def dark(q: NDArray[np.floating], space: CodeSpace, information: float) -> NDArr
 
     Parameters
     ----------
-    q, space, information : as of `log_odds`
-        The same.
+    q : (V, U) float
+        As of `log_odds`.
+    space : CodeSpace
+        As of `log_odds`.
+    information : float
+        As of `log_odds`.
 
     Returns
     -------

@@ -70,6 +70,7 @@ class _Sum:
         self._equations: NormalEquations | None = None
         self._votes: NDArray[np.float64] | None = None
         self._weight = 0.0
+        self._voters: NormalEquations | None = None
         self.windows = 0
         self.estimate: CodeEstimate | None = None
 
@@ -109,7 +110,8 @@ class _Sum:
         votes = ballot if self._votes is None else self._votes + ballot
         self._votes = votes
         self._weight += weight
-        return CodeEstimate((votes / self._weight).astype(np.float32), alone.iterations)
+        self._voters = weighted if self._voters is None else self._voters + weighted
+        return CodeEstimate((votes / self._weight).astype(np.float32), alone.iterations, self._voters)
 
 
 class Fusion:

@@ -136,10 +136,18 @@ class CodeEstimate(Value):
         < 0 dark, > 0 light; the known modules have their known value.
     iterations : int
         Of conjugate gradients, of all passes.
+    equations : NormalEquations
+        What they solve, in units of its noise.
     """
 
     q: NDArray[np.float32]
     iterations: int
+    equations: NormalEquations = field(repr=False)
+
+    @property
+    def information(self) -> float:
+        """What is known of a module whose neighbours are known: one over the variance of its estimate."""
+        return float(self.equations.stencil[REACH, REACH])
 
 
 @dataclass(frozen=True, eq=False)
@@ -337,22 +345,19 @@ class Solution(Step):
         """Wait for the device and give the modules of each code."""
         q = closed(self._q.read()[: len(spaces)] + np.float32(1.0))
         iterations = functools.reduce(np.add, [mirror.read() for mirror in self._iterations]).tolist()
+        count = len(spaces)
+        peak = self._peak.read()[:count, None, None]
+        rhs, stencil = (closed(peak * mirror.read()[:count]) for mirror in self._sum)
         found = []
-        for k, space in enumerate(spaces):
-            quiet = quiet_modules(space)
+        for k, equations in enumerate(_equations(spaces, stencil, rhs)):
+            quiet, space = quiet_modules(equations.space), equations.space
             inner = q[k, quiet : quiet + space.rows, quiet : quiet + space.columns]
-            found.append(CodeEstimate.trusted(q=inner, iterations=iterations[k]))
+            found.append(CodeEstimate.trusted(q=inner, iterations=iterations[k], equations=equations))
         return found
 
     def fused(self, spaces: Sequence[CodeSpace]) -> list[Fused]:
         """Wait for the device and give the sums, too."""
-        count = len(spaces)
-        peak = self._peak.read()[:count, None, None]
-        rhs, stencil = (closed(peak * mirror.read()[:count]) for mirror in self._sum)
-        return [
-            Fused.trusted(equations=equations, estimate=estimate)
-            for equations, estimate in zip(_equations(spaces, stencil, rhs), self.read(spaces), strict=True)
-        ]
+        return [Fused.trusted(equations=each.equations, estimate=each) for each in self.read(spaces)]
 
 
 def _no_windows(count: int, room: tuple[int, int], workspace: Workspace) -> Callable[[], Windows]:

@@ -10,7 +10,7 @@ from typing import Any, Literal, TypeVar
 
 from evqr.line.reader import Reader
 from evqr.line.records import LineRecord
-from evqr.results import Statistics
+from evqr.seen import Statistics
 
 T = TypeVar("T")
 

@@ -14,7 +14,7 @@ from evqr.line.records import LineRecord
 from evqr.line.scheduler import LineScheduler
 from evqr.recording import TimeUnit
 from evqr.recording.options import checked
-from evqr.results import Statistics
+from evqr.seen import Statistics
 from evqr.solver import Solver
 from evqr.work import Working, answer
 

@@ -8,7 +8,8 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from evqr.results import CodeReading, Nearest, ReadResult, ReadStatus, WindowReading
+from evqr.results import CodeReading, ReadResult, ReadStatus, WindowReading
+from evqr.seen import Nearest
 from evqr.symbol.gs1 import SEPARATOR
 from evqr.symbol.messages import Message
 from evqr.symbol.payload import ContentType, Payload

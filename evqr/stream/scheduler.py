@@ -29,8 +29,8 @@ from evqr.fit.detection import Detection, NotFound
 from evqr.fit.outside import inside, outside
 from evqr.motion import Motion
 from evqr.reason import Reason
-from evqr.results import Statistics
 from evqr.search.motion_estimate import MotionEstimate, Probe, QuietSpells
+from evqr.seen import Statistics
 from evqr.solver import Solver
 from evqr.stream.known import KnownCodes
 from evqr.stream.records import CodeAgain, CodeLeft, CodeRead, CodeUnread, Searched, StreamRecord

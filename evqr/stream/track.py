@@ -10,6 +10,7 @@ import numpy as np
 
 from evqr.clock import StageClock
 from evqr.events.window import Window
+from evqr.fit.certainty import dark, unclear
 from evqr.fit.detection import Detection, NotFound
 from evqr.fit.fusion import Fusion, Solving
 from evqr.fit.modules import CodeEstimate, NormalEquations
@@ -33,9 +34,6 @@ SAME_CENTRE = 0.25
 SCORES_ALIKE = 0.02
 """A code that was found again is taken though it agrees less well by so much: its pose may be right all the
 same."""
-
-CLEAR = 0.5
-"""A module whose estimate is at least so far from grey is clearly dark or light."""
 
 FEW = 8
 """Windows after each of which decoding is tried; later once there are an eighth more."""
@@ -120,15 +118,9 @@ class Track:
             self.failure,
             found.target,
             mean_score=self._scores / self.windows,
-            clear_modules=self._clear_modules,
+            clear_modules=1.0 - unclear(self._q, found.space),
             events_an_edge=float(np.hypot(*found.gain)) / moved,
         )
-
-    @property
-    def _clear_modules(self) -> float:
-        """Share of the modules that are not known before and are clearly dark or light."""
-        unknown = ~self.detection.space.known
-        return float((np.abs(self._q[unknown]) >= CLEAR).mean()) if unknown.any() else 0.0
 
     @property
     def lost(self) -> bool:
@@ -296,6 +288,7 @@ class Track:
             unused_correction=decoded.unused_correction,
             modules=decoded.modules,
             estimate=estimate.q,
+            dark=dark(estimate.q, decoded.space, estimate.information),
             compute_ms=self._clock.total(),
         )
 
