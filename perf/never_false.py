@@ -82,7 +82,7 @@ def draw_scene(rng: np.random.Generator, shape: tuple[int, int], quiet: int) -> 
         "angle": float(rng.uniform(0.0, 360.0)),
         "direction": float(rng.uniform(0.0, 360.0)),
         "speed_px_ms": float(rng.uniform(1.0, 10.0)),
-        "module_px": float(rng.uniform(0.6, 1.0) * largest),
+        "module_px": max(1.2, float(rng.uniform(0.6, 1.0) * largest)),
         "quiet": quiet,
         "width": WIDTH,
         "height": HEIGHT,
