@@ -40,6 +40,7 @@ if TYPE_CHECKING:
     from evqr.events.window import Window
     from evqr.fit.detection import Detection, NotFound, Target
     from evqr.fit.modules import CodeEstimate, Fused, NormalEquations
+    from evqr.grade import Grade, GradedPart
     from evqr.line.aio import AsyncReader
     from evqr.line.group import ReaderGroup
     from evqr.line.reader import Reader
@@ -103,6 +104,8 @@ __all__ = [
     "FinderPass",
     "Fused",
     "GapRecord",
+    "Grade",
+    "GradedPart",
     "Gs1Element",
     "JobConfig",
     "LagConfig",
@@ -202,6 +205,7 @@ _HOME = {
         "Fused",
         "NormalEquations",
     ),
+    "evqr.grade": ("Grade", "GradedPart"),
     "evqr.line.aio": ("AsyncReader",),
     "evqr.line.group": ("ReaderGroup",),
     "evqr.line.reader": ("Reader",),

@@ -13,9 +13,11 @@ from typing import TYPE_CHECKING, Any
 
 from evqr.clock import ONE_TIME, StageClock
 from evqr.events.buffer import EventBuffer
+from evqr.events.window import Window
 from evqr.fit.detection import Detection, NotFound, Target
 from evqr.fit.modules import CodeEstimate
 from evqr.geometry import affine_to_code
+from evqr.grade import grade_reading
 from evqr.motion import Motion
 from evqr.reason import Reason
 from evqr.recording import Recording, open_recording
@@ -494,7 +496,7 @@ def _reading(start: _Start, solver: Solver) -> Activity[WindowReading]:
             clock.add(found.timings_ms)
         else:
             clock.add(found[0].timings_ms)
-            codes = yield from _codes(found[: cfg.scheduler.codes_a_search], solver, clock)
+            codes = yield from _codes(found[: cfg.scheduler.codes_a_search], window, solver, clock)
     codes.sort(key=lambda code: code.status is not ReadStatus.READ)  # the sort is stable
     if codes:
         status, reason, reason_code = codes[0].status, codes[0].reason, codes[0].reason_code
@@ -515,7 +517,9 @@ def _reading(start: _Start, solver: Solver) -> Activity[WindowReading]:
     )
 
 
-def _codes(found: Sequence[Detection], solver: Solver, clock: StageClock) -> Working[list[WindowCode]]:
+def _codes(
+    found: Sequence[Detection], window: Window, solver: Solver, clock: StageClock
+) -> Working[list[WindowCode]]:
     """Read codes that were found in a window."""
     decode = solver.config.decode
     estimates = yield [Solve(code, clock) for code in found]
@@ -525,10 +529,13 @@ def _codes(found: Sequence[Detection], solver: Solver, clock: StageClock) -> Wor
             for code, estimate in zip(found, estimates, strict=True)
         ]
     )
-    return [_window_code(*one) for one in zip(found, estimates, outcomes, strict=True)]
+    length_us = window.end_us - window.start_us
+    return [_window_code(*one, length_us) for one in zip(found, estimates, outcomes, strict=True)]
 
 
-def _window_code(found: Detection, estimate: CodeEstimate, outcome: Decoded | DecodeFailure) -> WindowCode:
+def _window_code(
+    found: Detection, estimate: CodeEstimate, outcome: Decoded | DecodeFailure, length_us: int
+) -> WindowCode:
     read = isinstance(outcome, Decoded)
     return WindowCode(
         status=ReadStatus.READ if read else ReadStatus.NO_READ,
@@ -542,6 +549,7 @@ def _window_code(found: Detection, estimate: CodeEstimate, outcome: Decoded | De
         confidence=outcome.confidence if read else None,
         log10_chance=outcome.log10_chance if read else None,
         unused_correction=outcome.unused_correction if read else None,
+        grade=grade_reading(found, length_us, estimate, outcome) if read else None,
         modules=estimate.q,
         motion_px_per_s=found.motion.velocity,
         affine=affine_to_code(found.pose, found.space.shape),

@@ -16,6 +16,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
+from evqr.grade import Grade
 from evqr.reason import Reason
 from evqr.seen import Nearest, Statistics
 from evqr.symbol.messages import Message, join_messages
@@ -97,6 +98,8 @@ class CodeReading(_OfSymbol, Payload):
         Codewords that error correction changed.
     unused_correction : float
         Share of the error correction that was not needed, 0 to 1: of the block that has least left.
+    grade : Grade
+        How good the print was, A to F, as far as the events show.
     modules : (V, U) int8
         The symbol as decoded: -1 dark, +1 light.
     estimate : (V, U) float32
@@ -122,6 +125,7 @@ class CodeReading(_OfSymbol, Payload):
     log10_chance: float
     errors_corrected: int
     unused_correction: float
+    grade: Grade
     modules: NDArray[np.int8] = field(repr=False)
     estimate: NDArray[np.float32] = field(repr=False)
     dark: NDArray[np.float32] = field(repr=False)
@@ -191,6 +195,7 @@ class CodeReading(_OfSymbol, Payload):
             "log10_chance": plain(self.log10_chance, 1),
             "errors_corrected": plain(self.errors_corrected),
             "unused_correction": plain(self.unused_correction, 3),
+            "grade": self.grade.to_dict(),
             "compute_ms": plain(self.compute_ms, 3),
             "warnings": [*self.warnings, *([self.gs1_error] if self.gs1_error else [])],
             **_beside_text(self),
@@ -223,6 +228,8 @@ class WindowCode(_OfSymbol, Value):
         That the text is right, 0 to 1; None when not read.
     log10_chance, unused_correction : float or None
         As of `CodeReading`; None when not read.
+    grade : Grade or None
+        As of `CodeReading`; None when not read.
     modules : (V, U) float32
         Estimate, < 0 dark, > 0 light.
     motion_px_per_s : (2,) float64 [px/s]
@@ -246,6 +253,7 @@ class WindowCode(_OfSymbol, Value):
     confidence: float | None = None
     log10_chance: float | None = None
     unused_correction: float | None = None
+    grade: Grade | None = None
     modules: NDArray[np.float32]
     motion_px_per_s: NDArray[np.float64]
     affine: NDArray[np.float64]

@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 
 from evqr.events.array import EventArray
+from evqr.grade import Grade, GradedPart
 from evqr.line.records import ClockRecord, GapRecord, OverloadRecord, PartRecord
 from evqr.reason import Reason
 from evqr.recording import save_recording
@@ -18,6 +19,8 @@ from evqr.symbol.payload import Payload
 
 RNG = np.random.default_rng(5)
 MODULES = np.where(RNG.random((21, 21)) < 0.5, -1, 1).astype(np.int8)
+
+GRADE = Grade((GradedPart("decode", 1.0, 4), GradedPart("modulation", 0.4567, 3)))
 
 READING = CodeReading(
     text="LOT 42",
@@ -36,6 +39,7 @@ READING = CodeReading(
     log10_chance=-12.34,
     errors_corrected=2,
     unused_correction=0.6,
+    grade=GRADE,
     modules=MODULES,
     estimate=(0.8 * MODULES).astype(np.float32),
     dark=np.where(MODULES < 0, 0.99, 0.01).astype(np.float32),
@@ -60,6 +64,7 @@ WINDOW = WindowReading(
             confidence=0.987654,
             log10_chance=-12.34,
             unused_correction=0.6,
+            grade=GRADE,
             modules=(0.8 * MODULES).astype(np.float32),
             motion_px_per_s=np.array([4000.0, -500.0]),
             affine=np.array([[0.25, 0.0, -10.5], [0.0, 0.25, -8.0]]),

@@ -16,7 +16,7 @@ FLOORS = (
     ("events", "motion", "geometry", "symbol"),
     ("recording", "simulate", "workspace", "device"),
     ("fit",),
-    ("search", "launched"),
+    ("search", "launched", "grade"),
     ("solver",),
     ("solvers", "work", "seen", "results"),
     ("stream",),

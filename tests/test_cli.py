@@ -26,7 +26,7 @@ from evqr_kernels.extras import install_command
 READING_KEYS = (
     "recording "
     "status text bytes_base64 symbology version ec_level mask rows columns t_first_us t_last_us t_read_us "
-    "windows corners_px motion_px_per_s confidence log10_chance errors_corrected unused_correction "
+    "windows corners_px motion_px_per_s confidence log10_chance errors_corrected unused_correction grade "
     "compute_ms warnings "
     "symbology_identifier content_type eci charset charset_source structured_append gs1 message"
 ).split()

@@ -187,7 +187,7 @@ def _code(reading: CodeReading) -> dict[str, Any]:
         "t_read_us",
     )
     keys += ("windows", "corners_px", "motion_px_per_s", "confidence", "log10_chance")
-    keys += ("errors_corrected", "unused_correction")
+    keys += ("errors_corrected", "unused_correction", "grade")
     record = reading.to_dict()
     return {key: record[key] for key in keys}
 

@@ -173,7 +173,7 @@ def _facts(reading: CodeReading) -> tuple[str, ...]:
         reading.symbol,
         f"{speed / 1000:.2f} px/ms = {speed / _module_px(reading):.0f} modules/s",
         f"chance 1e{reading.log10_chance:.0f}",
-        f"windows {reading.windows}",
+        f"print {reading.grade.letter}, windows {reading.windows}",
         f"error correction unused {reading.unused_correction:.0%}",
         f"computed in {reading.compute_ms.get('total', 0.0):.1f} ms",
     )

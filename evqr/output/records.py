@@ -68,6 +68,7 @@ def reading_text(reading: CodeReading) -> str:
             *(f"  message     {part}" for part in [reading.structured_append] if part),
             f"  confidence  {reading.confidence:.3f} (chance 1e{reading.log10_chance:.0f}), "
             f"error correction unused: {reading.unused_correction:.0%}",
+            f"  print       {reading.grade}",
             f"  time        seen {reading.t_first_us} to {reading.t_last_us} us, "
             f"read at {reading.t_read_us} us, windows used: {reading.windows}",
             f"  motion      {float(np.hypot(vx, vy)):.0f} px/s ({vx:+.0f}, {vy:+.0f})",

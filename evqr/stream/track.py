@@ -15,6 +15,7 @@ from evqr.fit.detection import Detection, NotFound
 from evqr.fit.fusion import Fusion, Solving
 from evqr.fit.modules import CodeEstimate, NormalEquations
 from evqr.geometry import bounds, module_px
+from evqr.grade import grade_reading
 from evqr.motion import Motion
 from evqr.results import CodeReading
 from evqr.solver import Solver
@@ -121,6 +122,11 @@ class Track:
             clear_modules=1.0 - unclear(self._q, found.space),
             events_an_edge=float(np.hypot(*found.gain)) / moved,
         )
+
+    @property
+    def _length_us(self) -> int:
+        """Length of the newest window [us]."""
+        return self._solver.window_us(self.detection.motion)
 
     @property
     def lost(self) -> bool:
@@ -286,6 +292,7 @@ class Track:
             log10_chance=decoded.log10_chance,
             errors_corrected=decoded.errors_corrected,
             unused_correction=decoded.unused_correction,
+            grade=grade_reading(self.detection, self._length_us, estimate, decoded),
             modules=decoded.modules,
             estimate=estimate.q,
             dark=dark(estimate.q, decoded.space, estimate.information),

@@ -227,6 +227,7 @@ def _decode_mode(
         errors_corrected=result.changed,
         erasures=result.erased,
         spare=result.spare,
+        check=code.n_check,
         unused_correction=result.unused,
         modules=modules,
         log10_chance=log_chance / math.log(10.0),

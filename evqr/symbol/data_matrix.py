@@ -170,6 +170,7 @@ def decode(
         errors_corrected=sum(block.changed for block in blocks),
         erasures=sum(block.erased for block in blocks),
         spare=min(block.spare for block in blocks),
+        check=count * layout.code.n_check,
         unused_correction=min(block.unused for block in blocks),
         modules=modules,
         log10_chance=log_chance / math.log(10.0),

@@ -39,6 +39,8 @@ class Decoded(Value):
         Codewords that were erased.
     spare : int
         Unused check codewords, n_check - 2 errors - erasures: the least over the blocks.
+    check : int
+        Check codewords of the symbol.
     unused_correction : float
         Share of the error correction that was not needed, 0 to 1: the least over the blocks.
     modules : (V, U) int8
@@ -58,6 +60,7 @@ class Decoded(Value):
     errors_corrected: int
     erasures: int
     spare: int
+    check: int
     unused_correction: float
     modules: NDArray[np.int8]
     log10_chance: float

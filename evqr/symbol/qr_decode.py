@@ -194,6 +194,7 @@ def _decode_format(
         errors_corrected=sum(b.changed for b in blocks),
         erasures=sum(b.erased for b in blocks),
         spare=min(b.spare for b in blocks),
+        check=sum(block.n_check for block in layout.blocks),
         unused_correction=min(b.unused for b in blocks),
         modules=modules,
         log10_chance=log_chance / math.log(10.0),
