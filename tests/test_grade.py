@@ -47,7 +47,9 @@ def test_thresholds(given, name, letters):
         assert letter == "A" or name in str(graded)
 
 
-@pytest.mark.parametrize(("level", "letter"), [(0.55, "A"), (0.45, "B"), (0.35, "C"), (0.25, "D"), (0.1, "F")])
+@pytest.mark.parametrize(
+    ("level", "letter"), [(0.55, "A"), (0.45, "B"), (0.35, "C"), (0.25, "D"), (0.1, "F")]
+)
 def test_modulation_is_of_what_error_correction_does_not_bear(level, letter):
     faint = level * modules()
     assert part(grade(faint), "modulation").letter == letter
@@ -87,7 +89,9 @@ def test_contrast_follows_events():
 
 
 def test_the_lowest_part_is_the_grade():
-    some = Grade((GradedPart("decode", 1.0, 4), GradedPart("modulation", 0.45, 3), GradedPart("contrast", 0.6, 3)))
+    some = Grade(
+        (GradedPart("decode", 1.0, 4), GradedPart("modulation", 0.45, 3), GradedPart("contrast", 0.6, 3))
+    )
     assert (some.number, some.letter, str(some)) == (3, "B", "B (modulation 0.45, contrast 0.60)")
 
 

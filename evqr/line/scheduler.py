@@ -41,7 +41,8 @@ from evqr.recording.declared import DeclaredUnit
 from evqr.recording.live import Incoming, LiveIntake
 from evqr.recording.options import Asked
 from evqr.recording.source import RawColumns
-from evqr.results import CodeReading, Statistics
+from evqr.results import CodeReading
+from evqr.seen import Statistics
 from evqr.solver import Solver
 from evqr.stream.records import CodeRead, StreamRecord
 from evqr.stream.scheduler import StreamScheduler
