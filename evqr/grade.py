@@ -25,6 +25,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -107,7 +108,7 @@ class Grade(Value):
         worst = [f"{part.name} {part.value:.2f}" for part in self.parts if part.number == self.number]
         return self.letter if self.number == 4 else f"{self.letter} ({', '.join(worst)})"
 
-    def to_dict(self) -> dict[str, object]:
+    def to_dict(self) -> dict[str, Any]:
         """Return it as plain values.
 
         Returns
@@ -225,7 +226,7 @@ def all_modules(equations: NormalEquations, modules: NDArray[np.int8]) -> NDArra
     """
     quiet, stencil = quiet_modules(equations.space), equations.stencil.astype(np.float64)
     from_light = np.pad(modules - 1.0, quiet)
-    left = -equations.rhs - _times(stencil, from_light)
+    left: NDArray[np.float64] = -equations.rhs.astype(np.float64) - _times(stencil, from_light)
     # conjugate gradients on (N + DEVIATES) off = left
     off, step = np.zeros_like(left), left.copy()
     power = float((left * left).sum())
