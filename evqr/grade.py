@@ -225,7 +225,7 @@ def all_modules(equations: NormalEquations, modules: NDArray[np.int8]) -> NDArra
         As of `grade_of`.
     """
     quiet, stencil = quiet_modules(equations.space), equations.stencil.astype(np.float64)
-    from_light = np.pad(modules - 1.0, quiet)
+    from_light = np.pad(modules.astype(np.float64) - 1.0, quiet)
     left: NDArray[np.float64] = -equations.rhs.astype(np.float64) - _times(stencil, from_light)
     # conjugate gradients on (N + DEVIATES) off = left
     off, step = np.zeros_like(left), left.copy()
