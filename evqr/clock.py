@@ -58,6 +58,28 @@ def one_time() -> Iterator[None]:
             _one_time.ms += 1e3 * (time.perf_counter() - start)
 
 
+class _Timed:
+    """Adds what is done under it to the times of a stage."""
+
+    # no generator: a window has a dozen of them
+    __slots__ = ("_before", "_ms", "_stage", "_start")
+
+    def __init__(self, ms: dict[str, float], stage: str) -> None:
+        self._ms, self._stage = ms, stage
+
+    def __enter__(self) -> None:
+        self._before = _one_time.ms
+        self._start = time.perf_counter()
+
+    def __exit__(self, *raised: object) -> None:
+        elapsed, ms = 1e3 * (time.perf_counter() - self._start), self._ms
+        once = _one_time.ms - self._before
+        if once:
+            _one_time.ms = self._before
+            ms[ONE_TIME] = ms.get(ONE_TIME, 0.0) + once
+        ms[self._stage] = ms.get(self._stage, 0.0) + max(elapsed - once, 0.0)
+
+
 class StageClock:
     """Milliseconds by stage.
 
@@ -70,20 +92,9 @@ class StageClock:
     def __init__(self) -> None:
         self.ms: dict[str, float] = {}
 
-    @contextmanager
-    def __call__(self, stage: str) -> Iterator[None]:
+    def __call__(self, stage: str) -> _Timed:
         """Time a stage; times of the same stage add up.  What is done once in it is a stage of its own."""
-        before = _one_time.ms
-        start = time.perf_counter()
-        try:
-            yield
-        finally:
-            elapsed = 1e3 * (time.perf_counter() - start)
-            once = _one_time.ms - before
-            if once:
-                _one_time.ms = before
-                self.ms[ONE_TIME] = self.ms.get(ONE_TIME, 0.0) + once
-            self.ms[stage] = self.ms.get(stage, 0.0) + max(elapsed - once, 0.0)
+        return _Timed(self.ms, stage)
 
     def pausing(self, stage: str, asking: Generator[Asked, Answer, T]) -> Generator[Asked, Answer, T]:
         """Time work that pauses to ask for something: until it is answered, no time is counted."""

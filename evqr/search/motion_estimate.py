@@ -16,7 +16,6 @@ from dataclasses import dataclass, field
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
 from evqr.config import MotionConfig
 from evqr.events.batch import EventBatch
@@ -105,7 +104,7 @@ class _Correlator:
 
     def __call__(
         self, samples: Sequence[_Sample], batch: EventBatch
-    ) -> list[tuple[NDArray[np.float64], float]]:
+    ) -> list[tuple[tuple[float, float], float]]:
         """Give each sample's shift (x, y) of highest correlation [binned px], and that correlation."""
         self._quiet.host[...] = 0.0
         halves: list[tuple[int, int]] = []
@@ -119,7 +118,7 @@ class _Correlator:
         self._run()
         peaks, energies = self._peak.read().tolist(), self._energy.read().tolist()
         return [
-            (np.array([x, y]), highest / max(math.sqrt(first * second), 1e-9))
+            ((x, y), highest / max(math.sqrt(first * second), 1e-9))
             for (x, y, highest), (first, second), _ in zip(peaks, energies, samples, strict=False)
         ]
 
@@ -202,13 +201,13 @@ def estimate_motions(
             window = windows[k]
             cells = window.width * window.height / reduction**2
             agree = correlation >= max(cfg.min_peak, NOISE_PEAK * 0.75 / (half * math.sqrt(cells)))
-            far = now_reach is None and np.abs(shift).max() >= cfg.reach_px
+            far = now_reach is None and max(map(abs, shift)) >= cfg.reach_px
             if far and (agree or (thorough and correlation > 0.0)):
                 waiting.append((k, sample, 4 * cfg.reach_px))
             elif thorough and sample.step > 1 and correlation < CLEAR_PEAK:
                 waiting.append((k, _Sample.of(window, middles[k], len(window)), now_reach))
             else:
-                found[k] = _estimate(window, middles[k], shift * reduction, correlation, agree, cfg)
+                found[k] = _estimate(window, middles[k], shift, reduction, correlation, agree, cfg)
     return found
 
 
@@ -227,7 +226,7 @@ def _middle_of(window: Window, cfg: MotionConfig) -> int:
 def _correlate(
     samples: Sequence[_Sample], reduction: int, reach: int, half: float, cfg: MotionConfig,
     workspace: Workspace,
-) -> list[tuple[NDArray[np.float64], float]]:  # fmt: skip
+) -> list[tuple[tuple[float, float], float]]:  # fmt: skip
     """Correlate the halves of windows."""
     count = 1 << (len(samples) - 1).bit_length()
     batch = EventBatch.of([sample.window for sample in samples])
@@ -243,16 +242,17 @@ def _correlate(
 
 
 def _estimate(
-    window: Window, middle: int, shift: NDArray[np.float64], correlation: float, agree: bool,
+    window: Window, middle: int, shift: tuple[float, float], reduction: int, correlation: float, agree: bool,
     cfg: MotionConfig,
 ) -> MotionEstimate | Reason:  # fmt: skip
-    """Make a motion of a shift [px]."""
+    """Make a motion of a shift [binned px]."""
     if not agree:
         return Reason.NOTHING_MOVES
     between = _mean_us(window, middle, len(window), cfg) - _mean_us(window, 0, middle, cfg)
     if between <= 0.0:
         return Reason.NOTHING_MOVES
-    return MotionEstimate(Motion(shift / (between * 1e-6), window.middle_us), correlation)
+    velocity = np.array(shift) * (1e6 * reduction / between)
+    return MotionEstimate(Motion(velocity, window.middle_us), correlation)
 
 
 def estimate_motion(
@@ -265,8 +265,8 @@ def estimate_motion(
 def _mean_us(window: Window, first: int, last: int, cfg: MotionConfig) -> float:
     """Mean time of some events since the window's start [us], from every n-th: they are in order of time."""
     step = 1 + (last - first) // cfg.most_times
-    times = window.events.t[first + step // 2 : last : step] - window.start_us
-    return int(times.sum()) / len(times)
+    times = window.events.t[first + step // 2 : last : step]
+    return (int(times.sum()) - window.start_us * len(times)) / len(times)
 
 
 class QuietSpells:

@@ -98,6 +98,19 @@ def layout_of(levels: tuple[Level, ...], cfg: FinderConfig) -> Layout:
     return Layout(closed(rows), closed(sizes))
 
 
+@functools.lru_cache(maxsize=256)
+def parts_of(levels: tuple[Level, ...], own: tuple[Level, ...], half: int) -> NDArray[np.float64]:
+    """Give for each level the part (K, 4) that a window with levels of its own has of the image there.
+
+    First row, rows, columns, and the size of a cell; what would be on a coarser level than the window has is
+    on its coarsest.
+    """
+    placed = [*zip(levels, own, strict=False)]
+    placed += placed[-1:] * (len(levels) - len(placed))
+    rows = [(at.top - half, its.rows + 2 * half, its.columns + 2 * half, its.cell) for at, its in placed]
+    return closed(np.array(rows))
+
+
 class Places:
     """Where poses are in the images of a pyramid: each in a part of one, a level and the zeros around it.
 
@@ -160,7 +173,7 @@ class Pyramid(Step):
         self.layout = layout_of(self.levels, cfg)
         self.regions: list[Region] = []
         # of every level of every window its part of the image, the size of a cell, and where the corner lies
-        self._levels = np.zeros((count * len(self.levels), 6))
+        self._levels = np.ones((count, len(self.levels), 6))
         height, width = len(self.layout.rows) + 2 * cfg.half, columns + 2 * cfg.half
         self._whole = workspace.empty(count, height, width)
         workspace.backend.clear(self._whole)
@@ -182,15 +195,11 @@ class Pyramid(Step):
         cells = [region.cell for region in regions]
         lags = [lag or (on * cell, off * cell) for lag, cell in zip(lags_px, cells, strict=True)]
         self.regions = list(regions)
-        half, rows = self._cfg.half, []
-        for region in regions:
-            own = levels_of(region.height, region.width, self._cfg) or self.levels[:1]
-            for k in range(len(self.levels)):
-                k = min(k, len(own) - 1)  # what would be on a coarser one is on the coarsest there is
-                level, top = own[k], self.levels[k].top - half
-                shift = half - 0.5 - region.x / level.cell, half - 0.5 - region.y / level.cell
-                rows.append((top, level.rows + 2 * half, level.columns + 2 * half, level.cell, *shift))
-        self._levels[: len(rows)] = rows
+        for k, region in enumerate(regions):
+            own, levels = levels_of(region.height, region.width, self._cfg), self._levels[k]
+            levels[:, :4] = parts_of(self.levels, own or self.levels[:1], self._cfg.half)
+            levels[:, 4] = self._cfg.half - 0.5 - region.x / levels[:, 3]
+            levels[:, 5] = self._cfg.half - 0.5 - region.y / levels[:, 3]
         moving, placed = Motions.of(motions), regions_of(regions)
         self._deposit.write(batch, moving, placed)
         self._sharpen.write(moving, placed, lags)
@@ -234,4 +243,5 @@ class Pyramid(Step):
         steps = np.log(size) * (0.5 / math.log(self._cfg.scale_ratio))
         first = math.log(cells_a_module * self.levels[0].cell) / math.log(self._cfg.scale_ratio)
         level = np.minimum(np.maximum(np.round(steps - first), 0.0), len(self.levels) - 1)
-        return Places(window, self._levels[window * len(self.levels) + level.astype(np.intp)])
+        of_each = window * len(self.levels) + level.astype(np.intp)
+        return Places(window, self._levels.reshape(-1, 6)[of_each])
