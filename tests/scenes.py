@@ -138,3 +138,43 @@ def events_at(times):
         64,
         48,
     )
+
+
+SENSORS = (640, 480), (1280, 720), (320, 240)
+
+
+def _on_sensor(window: Window, sensor: tuple[int, int], corner: tuple[int, int], *, flip: bool) -> Window:
+    """What a larger sensor sees, from some corner on; or with every event's polarity changed."""
+    events, at = window.events, [np.uint16(each) for each in corner]
+    signs = -events.p if flip else events.p
+    moved = EventArray(events.t, events.x + at[0], events.y + at[1], signs, *sensor)
+    return make_window(moved, window.start_us, window.end_us)
+
+
+@functools.cache
+def windows_of_many_kinds() -> tuple[tuple[Window, ...], tuple[Motion, ...]]:
+    """Windows whose busy regions differ in size, their motions: of codes in several sizes, and of none."""
+    windows, motions = [], []
+    for seed, version, module_px, side in ((0, 1, 8.0, 260), (1, 5, 4.0, 230)):
+        made = scene(
+            seed=seed, version=version, module_px=module_px, width=side + 40, height=side, travel_px=3.0,
+            angle=20.0 + 25.0 * seed,
+        )  # fmt: skip
+        window = window_of(made)
+        for k, sensor in enumerate(SENSORS):
+            room = [least - size for least, size in zip(sensor, (window.width, window.height), strict=True)]
+            if min(room) < 0:
+                continue
+            corner = room[0] // (k + 1), room[1] * k // 2
+            windows.append(_on_sensor(window, sensor, corner, flip=(seed + k) % 2 == 1))
+            motions.append(motion_at(made.truth["truth"], window.middle_us))
+    for count, (width, height) in (
+        (9_000, SENSORS[1]),
+        (4_000, SENSORS[0]),
+        (3, SENSORS[0]),
+        (0, SENSORS[1]),
+    ):
+        events = noise(count, 1_000, width=width, height=height)
+        windows.append(make_window(events, 0, 1_000))
+        motions.append(Motion([2000.0, 500.0], 500))
+    return tuple(windows), tuple(motions)

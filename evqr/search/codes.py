@@ -67,14 +67,18 @@ class _Window:
         self._best_match: tuple[float, Hypotheses | None] = 0.0, None
         self._cfg = cfg
 
-    def take(self, found: Found, made: Hypotheses, last: bool) -> None:
-        """Take what a pass found and the codes that are made up of it, instead of what those before did."""
+    def take(self, found: Found, made: Hypotheses, *, last: bool, at_once: bool) -> None:
+        """Take what a pass found and the codes that are made up of it, instead of what those before did.
+
+        They are scored all at once, or the most promising first.
+        """
         cfg = self._cfg
         self.peaks, self._last = found.peaks, last
         self._taken = np.zeros(len(found.peaks), bool)
         # where the most promising is no code a more thorough pass will tell, rather than the next ones
         self._failures, self._most = 0, cfg.finder.tries if last else 1
-        made, first = made[: cfg.finder.hypotheses], cfg.finder.first_hypotheses
+        most, first = cfg.finder.hypotheses, cfg.finder.first_hypotheses
+        made, first = made[:most], most if at_once else first
         self._waiting = [part for part in (made[:first], made[first:] if last else made[:0]) if len(part)]
         self._matching = made[:0]
         self._match = np.zeros(0, np.float32)
@@ -262,16 +266,18 @@ def find_codes(
     windows = [
         _Window(k, motion, tau, cfg) for k, (motion, tau) in enumerate(zip(motions, tau_us, strict=True))
     ]
-    passes = len(cfg.finder.passes)
-    for which in range(passes):
+    passes = range(len(cfg.finder.passes))
+    if not workspace.shared:
+        passes = passes[-1:]  # to ask a device once more takes longer than to look for all at once
+    for which in passes:
         left = [window for window in windows if not window.sure]
         if not left:
             break
         with clock("finder"):
-            all_found = finder.find(which, [window.index for window in left])
+            all_found = finder.find(which, [window.index for window in left], first=which == passes[0])
             found = [all_found[window.index] for window in left]
             for window, one, made in zip(left, found, _made_up(found, cfg), strict=True):
-                window.take(one, made, last=which == passes - 1)
+                window.take(one, made, last=which == passes[-1], at_once=not workspace.shared)
         while _score(left, pyramid, cfg, workspace, clock):
             while rows := [row for window in left for row in window.rows()]:
                 _try(batch, rows, pyramid, cfg, workspace, clock)

@@ -7,6 +7,7 @@ on which a module always has the same size.  Coarse steps are enough: `align` re
 
 from __future__ import annotations
 
+import functools
 import math
 from collections.abc import Collection, Sequence
 from dataclasses import dataclass, replace
@@ -146,15 +147,19 @@ class Finder(Keeper):
                 self._basis.host[k], self._mix.host[k] = bank_along(degrees, self._cfg)
                 self._degrees[k] = degrees
 
-    def find(self, which: int, windows: Collection[int]) -> list[Found]:
-        """Run a pass over some of the windows and give what it found in each; nothing in the others."""
+    def find(self, which: int, windows: Collection[int], *, first: bool) -> list[Found]:
+        """Run a pass over some of the windows and give what it found in each; nothing in the others.
+
+        The first since something was written makes the images, which those after it look at.
+        """
         cfg, regions = self._cfg, self.pyramid.regions
         self._extent.host[:] = 0
         for k in windows:
             for n, level in enumerate(levels_of(regions[k].height, regions[k].width, cfg)):
                 if level.module_px >= cfg.passes[which].least_module_px:
                     self._extent.host[k, n] = level.rows, level.columns
-        self.once(which, lambda: self._staging.sequence(lambda: self._launch_pass(which)))()
+        launch = functools.partial(self._launch_pass, which, first=first)
+        self.once((which, first), lambda: self._staging.sequence(launch))()
         peaks, triples = self._peaks.read()[: len(regions)], self._triples.read()[: len(regions)]
         counts = np.count_nonzero(peaks[:, :, 0], axis=1).tolist()
         return [
@@ -162,10 +167,10 @@ class Finder(Keeper):
             for k, (count, some) in enumerate(zip(counts, in_order(triples), strict=True))
         ]
 
-    def _launch_pass(self, which: int) -> None:
+    def _launch_pass(self, which: int, *, first: bool) -> None:
         """Launch the kernels of a pass one by one; those of the pyramid before the first."""
         backend, cfg, one = self._backend, self._cfg, self._cfg.passes[which]
-        if which == 0:
+        if first:
             self.pyramid.launch()
         backend.correlate_templates(
             self.pyramid.images.device, self.pyramid.busy, self._basis.device, self._mix.device, self._disc,
@@ -268,4 +273,4 @@ def find_patterns(
     """
     alone = replace(cfg, passes=cfg.passes[-1:])
     finder = finding(batch, motions, alone, workspace=workspace, lags_px=lags_px)
-    return finder.find(0, range(len(batch))), finder.pyramid
+    return finder.find(0, range(len(batch)), first=True), finder.pyramid
