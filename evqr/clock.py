@@ -62,10 +62,10 @@ class _Timed:
     """Adds what is done under it to the times of a stage."""
 
     # no generator: a window has a dozen of them
-    __slots__ = ("_before", "_ms", "_stage", "_start")
+    __slots__ = ("_before", "_ms", "_name", "_start")
 
     def __init__(self, ms: dict[str, float], stage: str) -> None:
-        self._ms, self._stage = ms, stage
+        self._ms, self._name = ms, stage
 
     def __enter__(self) -> None:
         self._before = _one_time.ms
@@ -77,7 +77,7 @@ class _Timed:
         if once:
             _one_time.ms = self._before
             ms[ONE_TIME] = ms.get(ONE_TIME, 0.0) + once
-        ms[self._stage] = ms.get(self._stage, 0.0) + max(elapsed - once, 0.0)
+        ms[self._name] = ms.get(self._name, 0.0) + max(elapsed - once, 0.0)
 
 
 class StageClock:
