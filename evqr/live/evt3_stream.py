@@ -72,9 +72,8 @@ class Evt3Decoder:
         header = PropheseeHeader(head)
         _, size = parse_header(head)
         if header.encoding != "EVT3":
-            raise RecordingError(
-                f"{self._name}: sends {header.encoding}; only EVT3 can be read from a stream"
-            )
+            said = header.encoding if header.encoding.isprintable() else ascii(header.encoding)
+            raise RecordingError(f"{self._name}: sends {said}; only EVT3 can be read from a stream")
         if not isinstance(header.sensor, DeclaredSensor):
             raise RecordingError(f"{self._name}: its header has no size of the sensor; send '% geometry WxH'")
         width, height = header.sensor.size
