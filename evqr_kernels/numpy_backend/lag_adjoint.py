@@ -8,10 +8,11 @@ from evqr_kernels.numpy_backend.lag import filtered, shares_of
 
 
 def deposit_events_adjoint(
-    x, y, t, weight, window_ptr, motion, frame, adj_deposit, adj_weight_out, adj_x_out, adj_y_out
-) -> None:
-    """Adjoint of `deposit_events` in weights and positions; overwrites."""
-    for out in (adj_weight_out, adj_x_out, adj_y_out):
+    x, y, t, weight, window_ptr, motion, frame, adj_deposit, chunks_out, adj_weight_out, adj_motion_out,
+    adj_x_out, adj_y_out
+) -> None:  # fmt: skip
+    """Adjoint of `deposit_events` in weights, motion and positions; overwrites."""
+    for out in (adj_weight_out, adj_motion_out, adj_x_out, adj_y_out):
         out[:] = 0
     for b in range(len(motion)):
         part = slice(window_ptr[b], window_ptr[b + 1])
@@ -24,6 +25,8 @@ def deposit_events_adjoint(
             adj_weight_out[part][events] += share * adj
             adj_x_out[part][events] += factor * slope_x * adj
             adj_y_out[part][events] += factor * slope_y * adj
+        for axis, adj in enumerate((adj_x_out, adj_y_out)):
+            adj_motion_out[b, axis] = -(t[part][events] * adj[part][events]).sum()
 
 
 def lag_operator_adjoint(

@@ -151,10 +151,13 @@ OPERATIONS = (
         arguments=(
             *DEPOSITED,
             floats("adj_deposit", "B", 2, "Y", "X"),
+            scratch("chunks_out", "B", PARTS, 2),
             overwritten("adj_weight_out", "E"),
+            overwritten("adj_motion_out", "B", 2),
             overwritten("adj_x_out", "E"),
             overwritten("adj_y_out", "E"),
         ),
+        variants=CHUNKED,
         check_values=_relative_times,
     ),
     Operation(

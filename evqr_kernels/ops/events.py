@@ -229,8 +229,8 @@ def deposit_events(
 def deposit_events_adjoint(
     x: Floats, y: Floats, t: Floats, weight: Floats, window_ptr: Ints, motion: Floats, adj_deposit: Floats, *,
     frame: Floats | None = None, backend: str = "auto", device: str | None = None,
-) -> tuple[Floats, Floats, Floats]:  # fmt: skip
-    """Adjoint of `deposit_events` in weight and position, while the signs of the weights stay.
+) -> tuple[Floats, Floats, Floats, Floats]:  # fmt: skip
+    """Adjoint of `deposit_events` in weight, motion and position, while the signs of the weights stay.
 
     Parameters
     ----------
@@ -245,6 +245,8 @@ def deposit_events_adjoint(
     -------
     adj_weight : (E,) float [loss / weight]
         Derivative of the loss with respect to ``weight``; 0 for events that were dropped.
+    adj_motion : (B, 2) float [loss s / px]
+        Derivative of the loss with respect to ``motion``.
     adj_x, adj_y : (E,) float [loss / px]
         Derivatives of the loss with respect to ``x`` and ``y``; at a cell's centre, those of its later side.
         Whatever warp has made the positions, its own derivatives take them on.
@@ -256,7 +258,8 @@ def deposit_events_adjoint(
 
     Notes
     -----
-    Cost: four reads and multiply-adds an event, in one pass; no scratch.
+    Cost: four reads and multiply-adds an event; then a pass over the results; scratch (B, parts, 2) with
+    parts = max(1, ceil(E / (tile B))).
 
     Determinism: bit for bit.
     """

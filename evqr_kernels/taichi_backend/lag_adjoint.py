@@ -2,8 +2,11 @@
 
 from functools import cache
 
+from evqr_kernels.operations.events import CHUNK
 from evqr_kernels.taichi_backend.language import array, float_of, is_on_cpu, ti
 from evqr_kernels.taichi_backend.launches import clear, launch
+from evqr_kernels.taichi_backend.splat import events_of
+from evqr_kernels.taichi_backend.sums import add_partials
 from evqr_kernels.taichi_backend.transport import make_transport
 
 
@@ -74,16 +77,50 @@ def make_deposit_events_adjoint(dtype):
     return deposit_events_adjoint
 
 
+@cache
+def make_motion_of_positions(dtype):
+    """Build the sums over chunks for the adjoint in the motion; a thread a window and chunk."""
+
+    @ti.kernel
+    def motion_of_positions(
+        t: array(dtype, 1),
+        window_ptr: array(ti.i32, 1),
+        adj_x: array(dtype, 1),
+        adj_y: array(dtype, 1),
+        chunks_out: array(dtype, 3),
+    ):
+        for window, chunk in ti.ndrange(chunks_out.shape[0], chunks_out.shape[1]):
+            begin, end = events_of(window_ptr, window, t.shape[0])
+            length = ti.max((end - begin + chunks_out.shape[1] - 1) // chunks_out.shape[1], CHUNK)
+            along_x = dtype(0.0)
+            along_y = dtype(0.0)
+            for e in range(begin + chunk * length, ti.min(begin + (chunk + 1) * length, end)):
+                # a time that is not finite has dropped its event; written so that it holds for NaN
+                if not (adj_x[e] == dtype(0.0) and adj_y[e] == dtype(0.0)):
+                    along_x -= t[e] * adj_x[e]
+                    along_y -= t[e] * adj_y[e]
+            chunks_out[window, chunk, 0] = along_x
+            chunks_out[window, chunk, 1] = along_y
+
+    return motion_of_positions
+
+
 def deposit_events_adjoint(
-    x, y, t, weight, window_ptr, motion, frame, adj_deposit, adj_weight_out, adj_x_out, adj_y_out
-) -> None:
-    """Launch; overwrites."""
-    kernel, outputs = make_deposit_events_adjoint(float_of(x)), (adj_weight_out, adj_x_out, adj_y_out)
+    x, y, t, weight, window_ptr, motion, frame, adj_deposit, chunks_out, adj_weight_out, adj_motion_out,
+    adj_x_out, adj_y_out,
+) -> None:  # fmt: skip
+    """Launch the three passes; overwrites."""
+    dtype = float_of(x)
     if 0 in adj_deposit.shape:  # no cell to read
-        for output in outputs:
+        for output in (adj_weight_out, adj_motion_out, adj_x_out, adj_y_out):
             clear(output)
         return
-    launch(kernel, x, y, t, weight, window_ptr, motion, frame, adj_deposit, *outputs)
+    launch(
+        make_deposit_events_adjoint(dtype),
+        x, y, t, weight, window_ptr, motion, frame, adj_deposit, adj_weight_out, adj_x_out, adj_y_out,
+    )  # fmt: skip
+    launch(make_motion_of_positions(dtype), t, window_ptr, adj_x_out, adj_y_out, chunks_out)
+    add_partials(chunks_out, adj_motion_out)
 
 
 @cache

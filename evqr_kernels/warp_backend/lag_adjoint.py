@@ -1,9 +1,10 @@
-"""Adjoints of ``deposit_events`` in weight and position, of ``lag_operator`` in the deposit; see ``lag.py``.
+"""Adjoints of ``deposit_events`` in weight, motion and position, of ``lag_operator`` in the deposit; see ``lag.py``.
 
 With adj = d loss / d deposit, p the sign of the event and T the share that a cell gets of it, which is
 bilinear in the event's place between the four cells:
 
     adj_w_i = sum_x adj_p(x) T(x - c_i),     adj_x_i = -w_i / scale sum_x adj_p(x) dT / dx (x - c_i)
+    adj_m = -sum_i t_i (adj_x_i, adj_y_i)
 
 With adj_n = d loss / d image_n, 0 nearer to the border of its extent than the taps reach, and all shifts
 reversed: columns first, ``along_n(y) = sum_j b_j adj_n(y - j)`` and
@@ -19,7 +20,9 @@ from functools import cache
 
 import warp as wp
 
+from evqr_kernels.operations.events import CHUNK
 from evqr_kernels.warp_backend.language import clear, launch, module_of, neighbours, variant, vector
+from evqr_kernels.warp_backend.sums import add_partials
 from evqr_kernels.warp_backend.transport import is_named, make_transport, window_of
 
 
@@ -75,10 +78,42 @@ def make_deposit_events_adjoint(dtype: type) -> wp.Kernel:
     return deposit_events_adjoint
 
 
+@cache
+def make_motion_of_positions(dtype: type) -> wp.Kernel:
+    """Build the sums over chunks for the adjoint in the motion; launch: a thread a window and chunk."""
+
+    @wp.kernel(module=module_of("lag_adjoint", dtype))
+    def motion_of_positions(
+        t: wp.array(dtype=dtype),
+        window_ptr: wp.array(dtype=wp.int32),
+        adj_x: wp.array(dtype=dtype),
+        adj_y: wp.array(dtype=dtype),
+        chunks_out: wp.array3d(dtype=dtype),
+    ):
+        b, chunk = wp.tid()
+        begin = wp.clamp(window_ptr[b], 0, t.shape[0])
+        end = wp.clamp(window_ptr[b + 1], begin, t.shape[0])
+        length = wp.max((end - begin + chunks_out.shape[1] - 1) // chunks_out.shape[1], CHUNK)
+        along_x = dtype(0.0)
+        along_y = dtype(0.0)
+        for e in range(begin + chunk * length, wp.min(begin + (chunk + 1) * length, end)):
+            x = adj_x[e]
+            y = adj_y[e]
+            # a time that is not finite has dropped its event; written so that it holds for NaN
+            if not (x == dtype(0.0) and y == dtype(0.0)):
+                along_x -= t[e] * x
+                along_y -= t[e] * y
+        chunks_out[b, chunk, 0] = along_x
+        chunks_out[b, chunk, 1] = along_y
+
+    return motion_of_positions
+
+
 def deposit_events_adjoint(
-    x, y, t, weight, window_ptr, motion, frame, adj_deposit, adj_weight_out, adj_x_out, adj_y_out
-) -> None:
-    """Launch; overwrites."""
+    x, y, t, weight, window_ptr, motion, frame, adj_deposit, chunks_out, adj_weight_out, adj_motion_out,
+    adj_x_out, adj_y_out,
+) -> None:  # fmt: skip
+    """Launch the three passes; overwrites."""
     launch(
         make_deposit_events_adjoint(x.dtype),
         x.shape[0],
@@ -86,6 +121,14 @@ def deposit_events_adjoint(
         outputs=[adj_weight_out, adj_x_out, adj_y_out],
         device=x.device,
     )
+    launch(
+        make_motion_of_positions(x.dtype),
+        chunks_out.shape[:2],
+        inputs=[t, window_ptr, adj_x_out, adj_y_out],
+        outputs=[chunks_out],
+        device=x.device,
+    )
+    add_partials(chunks_out, adj_motion_out)
 
 
 @cache

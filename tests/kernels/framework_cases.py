@@ -53,7 +53,7 @@ def deposit_events(rng, dtype):
     x, y = case.arrays["x"], case.arrays["y"]
     # between cells all of them, and none on a line
     x[:], y[:] = (4.013 + (column % 1.0) * 0.97 + np.floor(column % 14) for column in (x, y))
-    return Case("deposit_events", case.arrays, ("weight", "x", "y"), {"shape": SHAPE})
+    return Case("deposit_events", case.arrays, ("weight", "motion", "x", "y"), {"shape": SHAPE})
 
 
 def deposit_events_in_a_frame(rng, dtype):

@@ -13,7 +13,7 @@ def test_deposit_in_the_weights(placed, dtype, rng):
     call.inputs[0][7] = np.nan
     call.outputs[0][:] = 0
     back.inputs[:7] = call.inputs
-    (deposit,), (adj_weight, *adj_positions) = call.run(placed), back.run(placed)
+    (deposit,), (adj_weight, _, *adj_positions) = call.run(placed), back.run(placed)
     assert_adjoint(deposit, back.inputs[7], call.inputs[3], adj_weight)
     assert adj_weight[7] == adj_positions[0][7] == adj_positions[1][7] == 0
 
@@ -29,13 +29,33 @@ def test_deposit_in_the_positions(axis, placed, rng):
     at = (places - t * motion[window, axis] - origin + 0.5) / scale - 0.5
     places += scale * (np.floor(at) + 0.002 + 0.996 * (at % 1) - at)
     back.inputs[:7] = call.inputs
-    gradient = back.run(placed)[1 + axis]
+    gradient = back.run(placed)[2 + axis]
 
     def loss(places):
         call.inputs[axis] = places
         return np.vdot(call.run(placed)[0], back.inputs[7])
 
     assert_differences(loss, places.copy(), gradient, rng.normal(size=(3, len(x))))
+
+
+def test_deposit_in_the_motion(placed, rng):
+    """By differences; no event is so near to a cell's line that it crosses it."""
+    call, back = cases.deposit_events(rng, np.float64), cases.deposit_events_adjoint(rng, np.float64)
+    x, y, t, _, ptr, motion, frame = call.inputs
+    t *= 1e3  # that a step is no tiny part of a pixel
+    motion *= 1e-3
+    window = np.repeat(np.arange(cases.B), np.diff(ptr))
+    scale = frame[window, 2]
+    for axis, places in enumerate((x, y)):
+        at = (places - t * motion[window, axis] - frame[window, axis] + 0.5) / scale - 0.5
+        places += scale * (np.floor(at) + 0.002 + 0.996 * (at % 1) - at)
+    back.inputs[:7] = call.inputs
+
+    def loss(motion):
+        call.inputs[5] = motion
+        return np.vdot(call.run(placed)[0], back.inputs[7])
+
+    assert_differences(loss, motion.copy(), back.run(placed)[1], rng.normal(size=(3, cases.B, 2)))
 
 
 def test_deposit_in_one_weight_reads_its_own_image(placed, dtype):
@@ -46,7 +66,10 @@ def test_deposit_in_one_weight_reads_its_own_image(placed, dtype):
     adj[0, 1] = -10 * np.arange(6)[:, None]
     inputs = [place, place + 1, none, np.array([2, -3], dtype), np.array([0, 2], np.int32)]
     inputs += [np.zeros((1, 2), dtype), np.array([[0, 0, 1]], dtype), adj]
-    adj_weight, adj_x, adj_y = placed("deposit_events_adjoint", inputs, [filled(2, dtype) for _ in range(3)])
+    shapes = [(1, 1, 2), 2, (1, 2), 2, 2]
+    outputs = [filled(shape, dtype) for shape in shapes]
+    _, adj_weight, adj_motion, adj_x, adj_y = placed("deposit_events_adjoint", inputs, outputs)
+    np.testing.assert_array_equal(adj_motion, 0)
     np.testing.assert_allclose(adj_weight, [2.25, -32.5], rtol=1e-6)
     np.testing.assert_allclose([adj_x, adj_y], [[2, 0], [0, 30]], atol=1e-4)
 
@@ -62,7 +85,8 @@ def test_weights_of_events_off_the_image(bad, placed, dtype, rng):
 def test_weights_of_no_events(placed, dtype, rng):
     back = cases.deposit_events_adjoint(rng, dtype)
     back.inputs[:5] = [*(column[:0] for column in back.inputs[:4]), np.zeros(cases.B + 1, np.int32)]
-    back.outputs = [filled(0, dtype) for _ in range(3)]
+    shapes = [(cases.B, 1, 2), 0, (cases.B, 2), 0, 0]
+    back.outputs = [filled(shape, dtype) for shape in shapes]
     assert back.run(placed)[0].shape == (0,)
 
 
