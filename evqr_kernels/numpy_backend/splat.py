@@ -40,6 +40,10 @@ def splat_events(x, y, t, weight, window_ptr, motion, lag, frame, image_out, cfg
 
 def splat_profile(r: NDArray, cfg: SplatConfig) -> tuple[NDArray, NDArray, NDArray]:
     """g, g' and g'' of `SplatConfig` at r; zero outside the radius."""
+    if cfg.kind == "bilinear":
+        inside = np.abs(r) < 1
+        values = (np.where(inside, 1 - np.abs(r), 0), np.where(inside, -np.sign(r), 0), np.zeros_like(r))
+        return values[0].astype(r.dtype), values[1].astype(r.dtype), values[2]
     inverse_variance, inverse_radius_sq = 1.0 / cfg.epsilon_px**2, 1.0 / cfg.radius_px**2
     q = 1.0 - r * r * inverse_radius_sq
     gauss = np.where(q > 0, cfg.norm * np.exp(-0.5 * r * r * inverse_variance), 0.0)

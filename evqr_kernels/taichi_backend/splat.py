@@ -126,6 +126,8 @@ def make_splat_taps(dtype, cfg: SplatConfig):
 
     The event is ``offset`` px off the middle one.
     """
+    if cfg.kind == "bilinear":
+        return make_hat_taps(dtype)
     reach = cfg.reach
     taps = 2 * reach + 1
     gauss_at_taps = [cfg.norm * cfg.gauss(k) for k in range(-reach, reach + 1)]
@@ -158,6 +160,24 @@ def make_splat_taps(dtype, cfg: SplatConfig):
         return gauss, value, slope
 
     return splat_taps
+
+
+@cache
+def make_hat_taps(dtype):
+    """Build the function that gives max(0, 1 - |r|) and its slope at the three taps around an event."""
+
+    @ti.func
+    def hat_taps(offset):
+        value = ti.Vector.zero(dtype, 3)
+        slope = ti.Vector.zero(dtype, 3)
+        for k in ti.static(range(3)):
+            r = dtype(float(k - 1)) - offset
+            value[k] = ti.max(dtype(1.0) - ti.abs(r), dtype(0.0))
+            if value[k] > dtype(0.0) and r != dtype(0.0):
+                slope[k] = ti.select(r < dtype(0.0), dtype(1.0), dtype(-1.0))
+        return ti.Vector.zero(dtype, 3), value, slope
+
+    return hat_taps
 
 
 @cache

@@ -18,11 +18,12 @@ def make_splat_curvature(dtype, cfg: SplatConfig):
     taps = 2 * reach + 1
     inverse_variance = 1.0 / cfg.epsilon_px**2
     inverse_radius_sq = 1.0 / cfg.radius_px**2
+    bent = cfg.kind == "gaussian"
 
     @ti.func
     def splat_curvature(gauss, offset):
         curvature = ti.Vector.zero(dtype, taps)
-        for k in ti.static(range(taps)):
+        for k in ti.static(range(taps if bent else 0)):
             r = dtype(float(k - reach)) - offset
             q = dtype(1.0) - r * r * dtype(inverse_radius_sq)
             rate = q * dtype(inverse_variance) + dtype(4.0 * inverse_radius_sq)

@@ -159,7 +159,7 @@ def make_splat_events(
 
     @wp.kernel(
         module=module_of(
-            f"splat_{parameters}_{columns}_{cfg.epsilon_px:g}_{cfg.radius_px:g}{'_on_cpu' * on_cpu}", dtype
+            f"splat_{parameters}_{columns}_{cfg.name}{'_on_cpu' * on_cpu}", dtype
         )
     )
     def splat_events(

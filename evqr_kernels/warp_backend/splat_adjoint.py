@@ -157,7 +157,7 @@ def make_splat_events_adjoint(
 
     @wp.kernel(
         module=module_of(
-            f"splat_adjoint_{parameters}_{columns}_{cfg.epsilon_px:g}_{cfg.radius_px:g}{'_on_cpu' * on_cpu}",
+            f"splat_adjoint_{parameters}_{columns}_{cfg.name}{'_on_cpu' * on_cpu}",
             dtype,
         ),
         launch_bounds=launch_bounds(dtype),

@@ -21,6 +21,8 @@ def make_splat_taps(dtype: type, cfg: SplatConfig) -> wp.Function:
 
     The event is ``offset`` px off the middle one.
     """
+    if cfg.kind == "bilinear":
+        return make_hat_taps(dtype)
     reach = cfg.reach
     vec_taps = vector(2 * reach + 1, dtype)
     gauss_at_taps = wp.constant(vec_taps(*(cfg.norm * cfg.gauss(k) for k in range(-reach, reach + 1))))
@@ -54,8 +56,44 @@ def make_splat_taps(dtype: type, cfg: SplatConfig) -> wp.Function:
 
 
 @cache
+def make_hat_tap(dtype: type) -> wp.Function:
+    """Build the function that gives max(0, 1 - |r|) and its derivatives, whatever the Gaussian there."""
+
+    @wp.func
+    def hat_tap(gauss: dtype, r: dtype):
+        value = wp.max(dtype(1.0) - wp.abs(r), dtype(0.0))
+        slope = dtype(0.0)
+        if value > dtype(0.0) and r != dtype(0.0):
+            slope = wp.where(r < dtype(0.0), dtype(1.0), dtype(-1.0))
+        return value, slope, dtype(0.0)
+
+    return hat_tap
+
+
+@cache
+def make_hat_taps(dtype: type) -> wp.Function:
+    """Build the function that gives max(0, 1 - |r|) and its slope at the three taps around an event."""
+    vec_taps = vector(3, dtype)
+    hat_tap = make_hat_tap(dtype)
+
+    @wp.func
+    def hat_taps(offset: dtype):
+        value = vec_taps()
+        slope = vec_taps()
+        for k in range(wp.static(3)):
+            at, grown, _bend = hat_tap(dtype(0.0), dtype(k - 1) - offset)
+            value[k] = at
+            slope[k] = grown
+        return vec_taps(), value, slope
+
+    return hat_taps
+
+
+@cache
 def make_splat_tap(dtype: type, cfg: SplatConfig) -> wp.Function:
     """Build the function that gives g, g' and g'' at a tap that is ``r`` px off, from the Gaussian there."""
+    if cfg.kind == "bilinear":
+        return make_hat_tap(dtype)
     inverse_variance = wp.constant(dtype(1.0 / cfg.epsilon_px**2))
     inverse_radius_sq = wp.constant(dtype(1.0 / cfg.radius_px**2))
 

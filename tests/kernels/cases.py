@@ -114,6 +114,15 @@ def splat_events_adjoint(rng, dtype):
     return call("splat_events_adjoint", inputs, SPLAT)
 
 
+def splat_events_bilinear(rng, dtype):
+    return call("splat_events", splat_inputs(rng, dtype), SplatConfig(kind="bilinear"), shape=(Y, X))
+
+
+def splat_events_bilinear_adjoint(rng, dtype):
+    inputs = splat_events_adjoint(rng, dtype).inputs
+    return call("splat_events_adjoint", inputs, SplatConfig(kind="bilinear"))
+
+
 def affine_motion(rng, dtype):
     """Motions that turn, grow and shear by some pixels over the window, beside those of `splat_inputs`."""
     return rng.uniform(-100, 100, (B, 4)).astype(dtype)
@@ -542,6 +551,8 @@ CALLS = [
     splat_events_affine,
     splat_events_adjoint,
     splat_events_affine_adjoint,
+    splat_events_bilinear,
+    splat_events_bilinear_adjoint,
     deposit_events,
     deposit_events_adjoint,
     bin_packed_events,

@@ -38,6 +38,12 @@ def splat_events_affine(rng, dtype):
     return splat_events(rng, dtype, 6)
 
 
+def splat_events_bilinear(rng, dtype):
+    case = splat_events(rng, dtype)
+    case.options["cfg"] = SplatConfig(kind="bilinear")
+    return case
+
+
 def splat_events_lagging(rng, dtype):
     """In a frame of its own, with pixels that lag."""
     case = splat_events(rng, dtype)
@@ -126,6 +132,7 @@ def sample_moments_of_some(rng, dtype):
 CASES = [
     splat_events,
     splat_events_affine,
+    splat_events_bilinear,
     splat_events_lagging,
     deposit_events,
     deposit_events_in_a_frame,

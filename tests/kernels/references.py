@@ -30,10 +30,14 @@ def splat_events(
     """With a lag, ``direction`` (B, 2) is that of the motions."""
 
     def profile(r):
+        if cfg.kind == "bilinear":
+            return hat(xp, r)
         q = xp.clip(1 - (r / cfg.radius_px) ** 2, 0, None)
         return cfg.norm * xp.exp(-0.5 * (r / cfg.epsilon_px) ** 2) * q * q
 
     def slope(r):
+        if cfg.kind == "bilinear":
+            return -xp.sign(r) * (xp.abs(r) < 1)
         q = xp.clip(1 - (r / cfg.radius_px) ** 2, 0, None)
         gauss = cfg.norm * xp.exp(-0.5 * (r / cfg.epsilon_px) ** 2)
         return -r * gauss * q * (q / cfg.epsilon_px**2 + 4 / cfg.radius_px**2)
