@@ -44,6 +44,6 @@ def _reduced(image: NDArray, count: int, ratio: float) -> NDArray:
     for k in range(math.ceil(ratio) + 1):
         row = near.astype(int) + k
         share = np.clip(np.minimum(near + ratio, row + 1) - np.maximum(near, row), 0.0, None)
-        inside = np.flatnonzero(row < fine)
+        inside = np.flatnonzero((row < fine) & (share > 0))
         total[:, inside] += share[inside, None].astype(image.dtype) * image[:, row[inside]]
     return total

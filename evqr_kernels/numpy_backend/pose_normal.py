@@ -12,9 +12,11 @@ def pose_normal_equations(moments, gram, terms, factors, ridge, gain_out, matrix
     solvable = gain_gram + ridge * np.trace(gain_gram) * np.eye(2, dtype=gram.dtype)
     for h in range(len(moments)):
         gain_out[h] = -np.linalg.solve(solvable, moments[h, -3:-1])
-        jacobian = jacobian_of(gain_out[h], terms, factors, len(gram))
-        matrix_out[h] = jacobian @ gram @ jacobian.T
-        rhs_out[h] = jacobian @ (moments[h, :-1] + gram[:, -2:] @ gain_out[h])
+        # term by term, so that what is no number stays where it is used
+        share = np.array([0.0, *gain_out[h], 1.0], gram.dtype)[factors]
+        each = gram[terms[:, :, None, None], terms]
+        matrix_out[h] = np.einsum("pk,qm,pkqm->pq", share, share, each)
+        rhs_out[h] = (share * (moments[h, :-1] + gram[:, -2:] @ gain_out[h])[terms]).sum(axis=1)
 
 
 def jacobian_of(gain: NDArray, terms: NDArray, factors: NDArray, columns: int) -> NDArray:

@@ -7,6 +7,7 @@ import numpy as np
 
 def pull_modules(seen, q, damping, certainty, rhs_out, unclear_out) -> None:
     """Right-hand side of the next solution, and how many modules of each row are unclear; overwrites."""
-    expected = np.clip(certainty * (q + 1), -1, 1)
+    leaning = certainty * (q + 1)
+    expected = np.fmax(np.fmin(leaning, 1), -1)  # what is no number is pulled nowhere
     rhs_out[:] = seen + damping[:, None, None] * (1 - expected)
-    unclear_out[:] = np.count_nonzero(np.abs(expected) < 1, axis=2)
+    unclear_out[:] = np.count_nonzero(np.abs(leaning) < 1, axis=2)

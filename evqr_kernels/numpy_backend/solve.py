@@ -49,9 +49,10 @@ def apply_stencil(stencil: NDArray, field: NDArray) -> NDArray:
     """Correlate with the stencil; outside the grid everything is 0."""
     reach = len(stencil) // 2
     rows, columns = field.shape
-    padded = np.pad(field, reach)
     total = np.zeros_like(field)
-    for k in range(2 * reach + 1):
-        for m in range(2 * reach + 1):
-            total += stencil[k, m] * padded[k : k + rows, m : m + columns]
+    for k in range(-min(reach, rows), min(reach, rows) + 1):
+        for m in range(-min(reach, columns), min(reach, columns) + 1):
+            inside = np.s_[max(-k, 0) : rows - max(k, 0), max(-m, 0) : columns - max(m, 0)]
+            there = np.s_[max(k, 0) : rows + min(k, 0), max(m, 0) : columns + min(m, 0)]
+            total[inside] += stencil[k + reach, m + reach] * field[there]
     return total

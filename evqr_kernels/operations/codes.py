@@ -32,7 +32,7 @@ SAMPLED = (
 )
 IN_PART = ints("image_part", "N", 3, default=(0, "Y", "X"), most=("Y", "Y", "X"))
 """Of its image what a pose looks at: first row, rows and columns."""
-TERMS = (ints("terms", "P + 2", 4, index="C"), ints("factors", "P + 2", 4))
+TERMS = (ints("terms", "P + 2", 4, index="C"), ints("factors", "P + 2", 4, most=(3, 3, 3, 3)))
 ROWS, COLUMNS = "T // samples_a_module", "S // samples_a_module"
 """Modules of the largest code along each axis of its lattice."""
 REACH = "ceil(max(0, P - samples_a_module) / (2 * samples_a_module))"

@@ -47,6 +47,8 @@ def _blur(arrays: Arrays, sizes: Sizes) -> None:
     sigma = sizes["sigma"]
     if not (sigma == 0.0 or 0.02 <= sigma <= 1.0):
         raise ValueError(f"sigma must be 0, or 0.02 to 1, got {sigma}")
+    if not sizes["G"] * sizes["H"]:
+        raise ValueError(f"grid must have at least one node, got shape {tuple(arrays['grid'].shape)}")
 
 
 OPERATIONS = (

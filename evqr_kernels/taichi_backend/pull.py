@@ -23,7 +23,9 @@ def make_pull_modules(dtype):
             unclear = 0
             for j in range(q.shape[2]):
                 leaning = certainty * (q[b, i, j] + dtype(1.0))
-                expected = ti.min(ti.max(leaning, dtype(-1.0)), dtype(1.0))
+                # so that 1 stands for NaN
+                expected = ti.select(leaning < dtype(1.0), leaning, dtype(1.0))
+                expected = ti.max(expected, dtype(-1.0))
                 rhs_out[b, i, j] = seen[b, i, j] + damping[b] * (dtype(1.0) - expected)
                 unclear += ti.cast(ti.abs(leaning) < dtype(1.0), ti.i32)
             unclear_out[b, i] = unclear

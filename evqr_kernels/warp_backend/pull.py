@@ -41,13 +41,14 @@ def make_pull_modules(dtype: type) -> wp.Kernel:
         unclear = wp.int32(0)
         for j in range(0, whole, BLOCK):
             leaning_block = certainty * (q_blocks[b, i, j] + ones)
+            # in this order 1 stands for NaN
             expected_block = wp.max(wp.min(leaning_block, ones), -ones)
             rhs_blocks_out[b, i, j] = seen_blocks[b, i, j] + damping[b] * (ones - expected_block)
             for c in range(wp.static(BLOCK)):
                 unclear += wp.where(wp.abs(leaning_block[c]) < dtype(1.0), 1, 0)
         for j in range(whole, q.shape[2]):
             leaning = certainty * (q[b, i, j] + dtype(1.0))
-            expected = wp.clamp(leaning, dtype(-1.0), dtype(1.0))
+            expected = wp.max(wp.min(leaning, dtype(1.0)), dtype(-1.0))
             rhs_out[b, i, j] = seen[b, i, j] + damping[b] * (dtype(1.0) - expected)
             unclear += wp.where(wp.abs(leaning) < dtype(1.0), 1, 0)
         unclear_out[b, i] = unclear

@@ -263,3 +263,29 @@ def test_every_operation_that_reads_indices_by_event_is_here():
     looked_at = {make(np.random.default_rng(0), np.float32).op for make in OF_EVENTS}
     # the checked functions are their only door that does not trust its caller, and look at all values
     assert reads - looked_at == {"bin_packed_events", "deposit_packed_events"}
+
+
+NEAR = [
+    cases.reduce_image,
+    cases.pull_modules,
+    cases.code_product,
+    cases.pose_normal_equations,
+    cases.local_maxima,
+]
+
+
+@pytest.mark.parametrize("bad", [np.nan, np.inf, -np.inf])
+@pytest.mark.parametrize("make", NEAR, ids=lambda make: make.__name__)
+def test_what_is_not_finite_stays_where_it_is_used(make, bad, placed, spec):
+    """As far as the specification spreads it, and no farther; in one input after the other."""
+    for k, argument in enumerate(make(np.random.default_rng(20), np.float32).inputs):
+        call = make(np.random.default_rng(20), np.float32)
+        if not (isinstance(argument, np.ndarray) and argument.dtype.kind == "f"):
+            continue
+        call.inputs[k].reshape(-1)[1 :: max(2, argument.size // 3)] = bad
+        with np.errstate(all="ignore"):
+            expected = call.run(spec)
+        for got, want in zip(call.run(placed), expected, strict=True):
+            use = np.isfinite(want)
+            np.testing.assert_array_equal(np.isfinite(got), use, err_msg=named(call)[k])
+            assert_close(np.where(use, got, 0), np.where(use, want, 0))
