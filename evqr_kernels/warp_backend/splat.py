@@ -157,11 +157,7 @@ def make_splat_events(
     velocity = make_velocity(dtype, parameters)
     lag_along = make_lag_along(dtype)
 
-    @wp.kernel(
-        module=module_of(
-            f"splat_{parameters}_{columns}_{cfg.name}{'_on_cpu' * on_cpu}", dtype
-        )
-    )
+    @wp.kernel(module=module_of(f"splat_{parameters}_{columns}_{cfg.name}{'_on_cpu' * on_cpu}", dtype))
     def splat_events(
         x: wp.array(dtype=dtype),
         y: wp.array(dtype=dtype),

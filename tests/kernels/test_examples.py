@@ -14,7 +14,7 @@ ROOT = Path(__file__).parents[2]
 DEMO = Path(evqr.__file__).parent / "data" / "demo.h5"
 
 
-@pytest.mark.parametrize("name", ["patch_flow_torch", "voxel_grid_torch"])
+@pytest.mark.parametrize("name", ["patch_flow_torch", "voxel_grid_torch", "rotation_torch", "depth_torch"])
 def test_example(name, monkeypatch):
     monkeypatch.syspath_prepend(str(ROOT / "examples"))
     monkeypatch.setattr(sys, "argv", [name, str(DEMO)])

@@ -317,7 +317,7 @@ def test_binning_counts():
         ({"epsilon_px": 1.0, "radius_px": 0.5}, "radius_px must be epsilon_px to 8, got 0.5"),
         ({"epsilon_px": 0.3, "radius_px": 20.0}, "radius_px must be epsilon_px to 2.4, got 20.0"),
         ({"epsilon_px": 8.0, "radius_px": 33.0}, "radius_px must be epsilon_px to 32, got 33.0"),
-        ({"kind": "box"}, "kind must be \"gaussian\" or \"bilinear\", got 'box'"),
+        ({"kind": "box"}, 'kind must be "gaussian" or "bilinear", got \'box\''),
         ({"kind": "bilinear", "epsilon_px": 1.0}, "a bilinear splat has no width: leave epsilon_px"),
     ],
 )
