@@ -1,7 +1,7 @@
-"""Adjoints of ``deposit_events`` in weight, motion and position, of ``lag_operator`` in the deposit; see ``lag.py``.
+"""Adjoints of ``deposit_events`` in weight, motion and position, and of ``lag_operator`` in the deposit.
 
-With adj = d loss / d deposit, p the sign of the event and T the share that a cell gets of it, which is
-bilinear in the event's place between the four cells:
+See ``lag.py``.  With adj = d loss / d deposit, p the sign of the event and T the share that a cell gets of
+it, which is bilinear in the event's place between the four cells:
 
     adj_w_i = sum_x adj_p(x) T(x - c_i),     adj_x_i = -w_i / scale sum_x adj_p(x) dT / dx (x - c_i)
     adj_m = -sum_i t_i (adj_x_i, adj_y_i)
