@@ -100,27 +100,25 @@ def bin_events(rng, dtype):
     return call("bin_events", [x, y, weight, window_ptr, 2.0], shape=(Y // 2, X // 2))
 
 
-def splat_events(rng, dtype):
-    return call("splat_events", splat_inputs(rng, dtype), SPLAT, shape=(Y, X))
-
-
-def splat_events_wide(rng, dtype):
-    cfg = SplatConfig(epsilon_px=1.5, radius_px=4.0)
+def splat_events(rng, dtype, cfg=SPLAT):
     return call("splat_events", splat_inputs(rng, dtype), cfg, shape=(Y, X))
 
 
-def splat_events_adjoint(rng, dtype):
+def splat_events_wide(rng, dtype):
+    return splat_events(rng, dtype, SplatConfig(epsilon_px=1.5, radius_px=4.0))
+
+
+def splat_events_adjoint(rng, dtype, cfg=SPLAT):
     inputs = [*splat_inputs(rng, dtype), rng.normal(size=(B, Y, X)).astype(dtype)]
-    return call("splat_events_adjoint", inputs, SPLAT)
+    return call("splat_events_adjoint", inputs, cfg)
 
 
 def splat_events_bilinear(rng, dtype):
-    return call("splat_events", splat_inputs(rng, dtype), SplatConfig(kind="bilinear"), shape=(Y, X))
+    return splat_events(rng, dtype, SplatConfig(kind="bilinear"))
 
 
 def splat_events_bilinear_adjoint(rng, dtype):
-    inputs = splat_events_adjoint(rng, dtype).inputs
-    return call("splat_events_adjoint", inputs, SplatConfig(kind="bilinear"))
+    return splat_events_adjoint(rng, dtype, SplatConfig(kind="bilinear"))
 
 
 def affine_motion(rng, dtype):
@@ -457,9 +455,8 @@ def system(rng, dtype, shape=WIDE):
     taps = rng.normal(size=(B, 3, 3))
     stencil = np.zeros((B, 5, 5))
     for b in range(B):
-        for j in range(3):
-            for i in range(3):
-                stencil[b, j : j + 3, i : i + 3] += taps[b, j, i] * taps[b, ::-1, ::-1]
+        for j, i in np.ndindex(3, 3):
+            stencil[b, j : j + 3, i : i + 3] += taps[b, j, i] * taps[b, ::-1, ::-1]
     free = (rng.random(shape) < 0.7).astype(np.int32)
     rhs, start = rng.normal(size=(2, B, *shape))
     return [rhs.astype(dtype), stencil.astype(dtype), np.full(B, 0.3, dtype), free, start.astype(dtype)]
@@ -528,8 +525,7 @@ def brightness_residual(rng, dtype):
 
 def brightness_residual_adjoint(rng, dtype):
     luminance, _, motion = brightness_residual(rng, dtype).inputs
-    inputs = [luminance, motion, rng.normal(size=(B, Y, X)).astype(dtype)]
-    return call("brightness_residual_adjoint", inputs)
+    return call("brightness_residual_adjoint", [luminance, motion, rng.normal(size=(B, Y, X)).astype(dtype)])
 
 
 def brightness_cost(rng, dtype):
