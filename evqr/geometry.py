@@ -67,20 +67,30 @@ def inverse(pose: NDArray[np.float64]) -> NDArray[np.float64]:
     )
 
 
-def _corners(
-    pose: NDArray[np.float64], shape: tuple[int, int], margin: float
-) -> tuple[list[float], list[float]]:
-    """Columns and rows of the corners of a code, in the order of `outline` [px]."""
-    # in Python, and written out: four corners are too few for NumPy to be faster
-    (a, b, p), (d, e, q), (g, h, r) = pose.tolist()
-    right, bottom = shape[1] + margin, shape[0] + margin
-    a0, d0, g0, b0, e0, h0 = a * -margin, d * -margin, g * -margin, b * -margin, e * -margin, h * -margin
+def _corners(pose: Any, shape: Any, margin: Any) -> tuple[list[Any], list[Any]]:
+    """Columns and rows of the corners of a code, in the order of `outline` [px].
+
+    Of numbers, or of arrays of them, a code each: both come to the same, to the bit.
+    """
+    # written out: four corners of one code are too few for NumPy to be faster
+    (a, b, p), (d, e, q), (g, h, r) = pose
+    left, right, bottom = -margin, shape[1] + margin, shape[0] + margin
+    a0, d0, g0, b0, e0, h0 = a * left, d * left, g * left, b * left, e * left, h * left
     a1, d1, g1, b1, e1, h1 = a * right, d * right, g * right, b * bottom, e * bottom, h * bottom
     w, x, y, z = g0 + h0 + r, g1 + h0 + r, g1 + h1 + r, g0 + h1 + r
     return (
         [(a0 + b0 + p) / w, (a1 + b0 + p) / x, (a1 + b1 + p) / y, (a0 + b1 + p) / z],
         [(d0 + e0 + q) / w, (d1 + e0 + q) / x, (d1 + e1 + q) / y, (d0 + e1 + q) / z],
     )
+
+
+def _at_centre(pose: Any, shape: Any) -> tuple[tuple[Any, Any], tuple[Any, Any, Any, Any]]:
+    """Centre of a code and the Jacobian there, likewise: see `at_centre`."""
+    u, v = shape[1] / 2.0, shape[0] / 2.0
+    (a, b, p), (d, e, q), (g, h, r) = pose
+    w = g * u + h * v + r
+    x, y = (a * u + b * v + p) / w, (d * u + e * v + q) / w
+    return (x, y), ((a - x * g) / w, (b - x * h) / w, (d - y * g) / w, (e - y * h) / w)
 
 
 def outline(pose: NDArray[np.float64], shape: tuple[int, int], margin: float = 0.0) -> NDArray[np.float64]:
@@ -100,14 +110,14 @@ def outline(pose: NDArray[np.float64], shape: tuple[int, int], margin: float = 0
     corners : (4, 2) float64 [px]
         Top-left, top-right, bottom-right, bottom-left.
     """
-    return np.array(_corners(pose, shape, margin)).T
+    return np.array(_corners(pose.tolist(), shape, margin)).T
 
 
 def bounds(
     pose: NDArray[np.float64], shape: tuple[int, int], margin: float = 0.0
 ) -> tuple[float, float, float, float]:
     """Left, top, right and bottom end of a code in the image, with a margin around it [modules] [px]."""
-    x, y = _corners(pose, shape, margin)
+    x, y = _corners(pose.tolist(), shape, margin)
     return min(x), min(y), max(x), max(y)
 
 
@@ -130,36 +140,21 @@ def bounds_each(
     begin, end : (N, 2) float64 [px]
         Left and top, right and bottom.
     """
-    corners = np.ones((len(pose), 3, 4))
-    corners[:, :2] = -margin[:, None, None]
-    corners[:, 0, 1:3] = (shape[:, 1] + margin)[:, None]
-    corners[:, 1, 2:] = (shape[:, 0] + margin)[:, None]
-    seen = np.einsum("nij,njk->nik", pose, corners)
-    at = seen[:, :2] / seen[:, 2:]
-    return at.min(axis=2), at.max(axis=2)
+    corners = np.array(_corners(np.moveaxis(pose, 0, -1), shape.T, margin))
+    return corners.min(axis=1).T, corners.max(axis=1).T
 
 
 def module_px_each(pose: NDArray[np.float64], shape: NDArray[Any]) -> NDArray[np.float64]:
     """Sizes (N,) of a module at the centres of codes (N, 3, 3) of shapes (N, 2) [px]."""
-    centre = np.ones((len(pose), 3))
-    centre[:, :2] = 0.5 * shape[:, ::-1]
-    at = np.einsum("nij,nj->ni", pose, centre)
-    at /= at[:, 2:].copy()
-    # the Jacobian times what all is divided by
-    slopes = pose[:, :2, :2] - at[:, :2, None] * pose[:, 2:, :2]
-    area = slopes[:, 0, 0] * slopes[:, 1, 1] - slopes[:, 0, 1] * slopes[:, 1, 0]
-    return np.sqrt(np.abs(area)) / np.abs(np.einsum("ni,ni->n", pose[:, 2], centre))
+    _, (x_u, x_v, y_u, y_v) = _at_centre(np.moveaxis(pose, 0, -1), shape.T)
+    return np.sqrt(np.abs(x_u * y_v - x_v * y_u))
 
 
 def at_centre(
     pose: NDArray[np.float64], shape: tuple[int, int]
 ) -> tuple[tuple[float, float], tuple[float, float, float, float]]:
     """Centre of a code [px], and the Jacobian there [px a module]: x_u, x_v, y_u, y_v."""
-    u, v = shape[1] / 2.0, shape[0] / 2.0
-    (a, b, p), (d, e, q), (g, h, r) = pose.tolist()
-    w = g * u + h * v + r
-    x, y = (a * u + b * v + p) / w, (d * u + e * v + q) / w
-    return (x, y), ((a - x * g) / w, (b - x * h) / w, (d - y * g) / w, (e - y * h) / w)
+    return _at_centre(pose.tolist(), shape)
 
 
 def module_px(pose: NDArray[np.float64], shape: tuple[int, int]) -> float:

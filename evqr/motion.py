@@ -16,7 +16,7 @@ import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -301,17 +301,19 @@ class Motion(Value):
         return int(min(max(self.travel_time_us(travel_px), SHORTEST_WINDOW_US), longest_us))
 
 
-@dataclass(frozen=True, eq=False)
-class Motions:
+class Motions(NamedTuple):
     """Motions side by side, each the same everywhere in its image.
 
     Attributes
     ----------
     velocity : (N, 2) float64 [px/s]
         Of each.
+    speed : (N,) float64 [px/s]
+        Their lengths.
     """
 
     velocity: NDArray[np.float64]
+    speed: NDArray[np.float64]
 
     @classmethod
     def of(cls, motions: Sequence[Motion]) -> Motions:
@@ -335,12 +337,8 @@ class Motions:
         parameters = [motion.parameters for motion in motions]
         if any(len(each) != 2 for each in parameters):
             raise NotImplementedError("events are deposited for motions of 2 parameters, got 6")
-        return cls(np.concatenate(parameters).reshape(-1, 2))
-
-    @cached_property
-    def speed(self) -> NDArray[np.float64]:
-        """Lengths (N,) of the velocities [px/s]."""
-        return np.hypot(self.velocity[:, 0], self.velocity[:, 1])
+        velocity = np.concatenate(parameters).reshape(-1, 2)
+        return cls(velocity, np.hypot(velocity[:, 0], velocity[:, 1]))
 
     @property
     def direction(self) -> NDArray[np.float64]:

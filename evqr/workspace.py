@@ -283,10 +283,11 @@ class EventRoom:
                 return
         self._parts, columns = parts, self._mirrors
         x, y, stamp = (mirror.host for mirror in columns)
-        end = 0
-        for part in parts:
-            first, end = end, end + len(part)
-            x[first:end], y[first:end], stamp[first:end] = part.x, part.y, part.stamp
+        end = batch.n_events
+        if parts:
+            np.concatenate([part.x for part in parts], out=x[:end])
+            np.concatenate([part.y for part in parts], out=y[:end])
+            np.concatenate([part.stamp for part in parts], out=stamp[:end])
         together = self.capacity - end <= LARGEST_GAP + end // 8
         for begin, last in [(columns[0], columns[-1])] if together else zip(columns, columns, strict=True):
             self._staging.push_rows(begin, last, end)

@@ -187,10 +187,11 @@ class Beyond(Step):
         self._number = staging.input((count,), np.int32)
         self._result = staging.output((count, 5))
 
-    def write(self, single: NDArray[np.bool_], numbers: Sequence[int]) -> None:
+    def write(self, single: list[int], numbers: Sequence[int]) -> None:
         """Say which codes, and which of them are looked at: those with a single finder pattern."""
-        self._single = np.flatnonzero(single)
-        self._number.fill(np.where(single, numbers, 0))
+        self._single = single
+        self._number.write(0)
+        self._number.host[single] = [numbers[k] for k in single]
 
     def launch(self) -> None:
         """Launch the kernels one by one."""

@@ -130,9 +130,11 @@ def _repeated(rows: NDArray[Any], each: int) -> NDArray[Any]:
 def cells_for(regions: Regions, *, workspace: Workspace) -> Cells:
     """Give the cells for windows' events on a region each, which the next on as large ones overwrite."""
     count = count_for(len(regions))
-    height, width = map(int, regions[:, 3:].max(axis=0).tolist())
-    if count > 1:
-        height, width = (-(-side // COARSE_GRAIN) * COARSE_GRAIN for side in (height, width))
+    if count == 1:
+        height, width = map(int, regions[0, 3:].tolist())
+    else:
+        largest = regions[:, 3:].max(axis=0)
+        height, width = (np.ceil(largest / COARSE_GRAIN).astype(int) * COARSE_GRAIN).tolist()
     return workspace.once(("cells", count, height, width), lambda: Cells(count, height, width, workspace))
 
 

@@ -111,8 +111,9 @@ class Measure(Step):
         if self._beyond is not None:
             self._beyond.write(targets.single, numbers)
         if self._solution is not None:
-            # of a single finder pattern the score alone does not tell
-            least = np.where(targets.single, -np.inf, self._least_score)
+            least = [self._least_score] * len(targets)
+            for k in targets.single:  # the score alone does not tell
+                least[k] = -np.inf
             self._solution.write(before, numbers, least=least)
 
     def launch(self) -> None:
@@ -175,10 +176,10 @@ def measuring(
     codes, (level,) = Codes.of(workspace), fine_levels(cfg.align)
     numbers = codes.numbers(targets.spaces)
     poses, modules = codes.poses(level, cfg.align, numbers), codes.modules(cfg.modules, numbers)
-    beyond, single = None, np.flatnonzero(targets.single).tolist()
-    if single:
+    beyond = None
+    if targets.single:
         level = replace(level, beyond_patterns=True)
-        beyond = codes.poses(level, cfg.align, [numbers[k] for k in single])
+        beyond = codes.poses(level, cfg.align, [numbers[k] for k in targets.single])
     room, solved = codes.room(numbers), any(each is not None for each in before)
     tables = poses.version, beyond and beyond.version, modules.version
     step = cells.once(

@@ -19,7 +19,7 @@ from dataclasses import dataclass, field
 from typing import Any, NamedTuple
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import NDArray
 
 from evqr.config import ModulesConfig
 from evqr.fit.align import Align
@@ -296,7 +296,7 @@ class Solution(Step):
         before: Sequence[NormalEquations | None],
         numbers: Sequence[int],
         weights: Sequence[float] | None = None,
-        least: ArrayLike = 0.0,
+        least: Sequence[float] | None = None,
     ) -> None:
         """Say what was seen of which codes; how much that counts, and from which score on they are solved.
 
@@ -305,10 +305,10 @@ class Solution(Step):
         if self._number is not None:
             self._number.fill(numbers)
         rhs, stencil = (mirror.host for mirror in self._before)
-        asked = np.zeros(len(self._filled), np.bool_)
+        scores = [np.inf] * len(self._filled)
         for k, each in enumerate(before):
             if each is not None:
-                asked[k] = True
+                scores[k] = least[k] if least else 0.0
             size = (0, 0) if each is None or each.is_nothing else each.rhs.shape
             if size != self._filled[k]:
                 rhs[k] = stencil[k] = 0.0
@@ -317,9 +317,7 @@ class Solution(Step):
                 weight = weights[k] if weights else 1.0
                 np.multiply(each.rhs, weight, out=rhs[k, : size[0], : size[1]], casting="same_kind")
                 np.multiply(each.stencil, weight, out=stencil[k], casting="same_kind")
-        scores = np.full(len(self._filled), np.inf)
-        scores[: len(before)] = least
-        self._least.write(np.where(asked, scores, np.inf))
+        self._least.write(scores)
 
     def launch(self) -> None:
         """Launch the kernels one by one: modules are pulled to what they start from, free ones to grey."""

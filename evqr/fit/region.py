@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from typing import Any, NamedTuple, TypeAlias
 
@@ -10,7 +11,7 @@ from numpy.typing import NDArray
 
 from evqr.config import AlignConfig
 from evqr.fit.model import quiet_modules
-from evqr.geometry import bounds_each, module_px_each
+from evqr.geometry import bounds, bounds_each, module_px, module_px_each
 from evqr.symbol.space import CodeSpace
 
 GRAIN = 16
@@ -60,20 +61,19 @@ def regions_of(regions: Sequence[Region] | Regions) -> Regions:
 
 def in_cells(regions: Regions, pose: NDArray[np.float64]) -> NDArray[np.float64]:
     """Give poses (N, 3, 3) in px of the sensor as poses in cells of a region each."""
-    scale = 1.0 / regions[:, 2:3]
-    off = -regions[:, :2] * scale - 0.5
-    found = pose.copy()
-    found[:, :2] = scale[:, :, None] * pose[:, :2] + off[:, :, None] * pose[:, 2:]
+    found, cell = pose.copy(), regions[:, 2, None, None]
+    found[:, :2] -= (regions[:, :2, None] + 0.5 * cell) * pose[:, 2:]
+    found[:, :2] /= cell
     return found
 
 
 def in_px(regions: Regions, pose: NDArray[np.float64]) -> NDArray[np.float64]:
     """Give poses (N, 3, 3) in cells of a region each in px of the sensor; their last number is 1."""
-    scale = regions[:, 2:3]
-    off = regions[:, :2] + 0.5 * scale
-    found = pose.copy()
-    found[:, :2] = scale[:, :, None] * pose[:, :2] + off[:, :, None] * pose[:, 2:]
-    found /= pose[:, 2:, 2:]
+    cell = regions[:, 2, None, None]
+    found = pose / pose[:, 2:, 2:]
+    corner = (regions[:, :2, None] + 0.5 * cell) * found[:, 2:]
+    found[:, :2] *= cell
+    found[:, :2] += corner
     return found
 
 
@@ -106,18 +106,18 @@ def regions_around(
         A row a `Region`.
     """
     begin, end = bounds_each(pose, shape, quiet + 1.0)
-    found = np.empty((len(pose), 5))
-    found[:, :2] = begin - margin_px
-    cell = found[:, 2] = module_px_each(pose, shape) / cfg.cells_a_module
+    cell = module_px_each(pose, shape) / cfg.cells_a_module
     grains = np.ceil((end - begin + 2.0 * margin_px) / cell[:, None] / GRAIN)
-    found[:, 3:] = grains[:, ::-1] * GRAIN
-    return found
+    return np.column_stack([begin - margin_px, cell, grains[:, ::-1] * GRAIN])
 
 
 def region_around(
     pose: NDArray[np.float64], space: CodeSpace, cfg: AlignConfig, *, margin_px: float = 0.0
 ) -> Region:
-    """Give the region that holds a code and its quiet zone."""
-    shape, quiet = np.array([space.shape]), np.array([quiet_modules(space)])
-    x, y, cell, height, width = regions_around(pose[None], shape, quiet, cfg, margin_px=margin_px)[0].tolist()
-    return Region(x, y, cell, int(height), int(width))
+    """Give the region that holds a code and its quiet zone: that of `regions_around`, to the bit."""
+    left, top, right, bottom = bounds(pose, space.shape, quiet_modules(space) + 1.0)
+    cell = module_px(pose, space.shape) / cfg.cells_a_module
+    margin = 2.0 * margin_px
+    height = math.ceil((bottom - top + margin) / cell / GRAIN) * GRAIN
+    width = math.ceil((right - left + margin) / cell / GRAIN) * GRAIN
+    return Region(left - margin_px, top - margin_px, cell, height, width)

@@ -9,10 +9,10 @@ from evqr.config import AlignConfig
 from evqr.events.array import EventArray
 from evqr.events.window import Window
 from evqr.fit.model import quiet_modules
-from evqr.fit.region import Region, region_around
+from evqr.fit.region import Region, in_cells, in_px, region_around, regions_around
 from evqr.geometry import bounds, module_px, outline
 from evqr.motion import Motion
-from evqr.symbol import qr
+from evqr.symbol import qr, rmqr
 
 CONFIG = AlignConfig()
 
@@ -76,6 +76,21 @@ def test_a_region_holds_the_code_and_its_quiet_zone(pose, margin):
     assert (corners >= np.array([region.x, region.y]) + margin).all()
     assert (corners <= far - margin).all()
     assert region.cell == pytest.approx(module_px(pose, SPACE.shape) / CONFIG.cells_a_module)
+
+
+@pytest.mark.parametrize("margin", [0.0, 4.0])
+def test_regions_side_by_side_are_those_alone(margin):
+    """To the bit, whatever the codes."""
+    rng = np.random.default_rng(5)
+    spaces = [SPACE, rmqr.space("R7x139"), qr.space(1)] * 20
+    poses = np.array([POSE, TILTED] * 30) * rng.uniform(0.9, 1.1, (60, 3, 3))
+    shape, quiet = np.array([s.shape for s in spaces]), np.array([quiet_modules(s) for s in spaces])
+    together = regions_around(poses, shape, quiet, CONFIG, margin_px=margin)
+    alone = [region_around(*each, CONFIG, margin_px=margin) for each in zip(poses, spaces, strict=True)]
+    np.testing.assert_array_equal(together, alone)
+    in_them = in_cells(together, poses)
+    np.testing.assert_allclose(in_them[7], alone[7].from_px @ poses[7])
+    np.testing.assert_allclose(in_px(together, in_them), poses / poses[:, 2:, 2:], rtol=1e-9)
 
 
 def test_cells_count_from_the_centre_of_the_first():
