@@ -75,16 +75,17 @@ CPI = 2.5
 """Cycles from an instruction of a warp to its next, where no other warp is in the scheduler's way."""
 
 BLOCK, WARP, SCHEDULERS = 256, 32, 4
-GAP, LAUNCH, UPLOAD, DOWNLOAD = 2e-6, 4e-6, 12e-6, 20e-6
-"""Seconds: between two kernels on the device, a launch from Python, a copy either way besides its bytes."""
+GAP, LAUNCH, GRAPH, UPLOAD, DOWNLOAD = 2e-6, 4e-6, 10e-6, 12e-6, 20e-6
+"""Seconds: between two kernels on the device, a launch from Python, one of a recorded sequence, which is a
+graph there, a copy either way besides its bytes."""
 
 GOALS = {("tracked", 128, 36_000): 10_000, ("cold", 128, 36_000): 1_500}
 """Windows/s, by method, windows a batch and events a window."""
 
 ASSUMED = (
     f"assumed: an instruction of a warp every {CPI} cycles, of a scheduler every one; blocks of {BLOCK};",
-    f"  {1e6 * GAP:.0f} us between kernels; {1e6 * LAUNCH:.0f} us a launch from Python, recorded or not (no "
-    "graphs), while the device works;",
+    f"  {1e6 * GAP:.0f} us between kernels; {1e6 * LAUNCH:.0f} us a launch from Python, {1e6 * GRAPH:.0f} us "
+    "one of a recorded sequence, as a graph, while the device works;",
     f"  {1e6 * UPLOAD:.0f} us an upload, {1e6 * DOWNLOAD:.0f} us a download, PCIe "
     + ", ".join(f"{n}: {rate / 1e9:.0f} GB/s" for n, rate in BUSES.items())
     + ", while nothing else happens;",
@@ -181,8 +182,8 @@ class Observed:
     events      of a window
     counts      of doing it
     turns       by operation and arguments: iterations and samples, means over launches
-    host, decode
-                processor time of doing it [s]
+    host, copied, decode
+                processor time of doing it [s], and what of it copies events to where they go up from
     right       whether all windows were read
     """
 
@@ -191,6 +192,7 @@ class Observed:
     counts: Counts
     turns: dict[Called, tuple[float, float]]
     host: float
+    copied: float
     decode: float
     right: bool
 
@@ -268,7 +270,7 @@ def model(observed: Observed, code: dict[str, Code], device: Device, bus: float)
         part.bounds["gap"] += count * GAP
     return Modelled(
         observed.host,
-        LAUNCH * (counts.launches + counts.recorded),
+        LAUNCH * counts.launches + GRAPH * counts.graphs,
         UPLOAD * counts.uploads + DOWNLOAD * counts.downloads,
         (counts.up_bytes + counts.down_bytes) / bus,
         sum(part.seconds for part in parts.values()),
@@ -388,7 +390,7 @@ def observe(method: str, scene: Scene, windows: int, events: int, solver: Solver
     backend.counts, backend.turns, backend.downloads = Counts(), defaultdict(list), []
     found = run()
     counts, turns = backend.counts, {op: _mean(of) for op, of in backend.turns.items()}
-    host = _host_time(backend, run)
+    host, copied = _host_time(solver, run)
     texts: list[str | None] = []
 
     def decode() -> None:
@@ -396,7 +398,7 @@ def observe(method: str, scene: Scene, windows: int, events: int, solver: Solver
 
     decoding = min(_time(decode) for _ in range(3)) * len(found) / max(len(texts), 1)
     right = len(found) == windows and set(texts) == {scene.text}
-    return Observed(windows, events, counts, turns, host, decoding, right)
+    return Observed(windows, events, counts, turns, host, copied, decoding, right)
 
 
 def _mean(turns: Sequence[tuple[float, float]]) -> tuple[float, float]:
@@ -404,15 +406,28 @@ def _mean(turns: Sequence[tuple[float, float]]) -> tuple[float, float]:
     return iterations, samples
 
 
-def _host_time(backend: TracedBackend, run: Callable[[], Any], rounds: int = 3) -> float:
-    """Measure the host alone: kernels do nothing, and downloads are those that were brought before."""
-    times = []
+def _host_time(solver: Solver, run: Callable[[], Any], rounds: int = 5) -> tuple[float, float]:
+    """Measure the host alone, and its copying of events, in the fastest of some rounds.
+
+    Kernels do nothing, and downloads are those that were brought before.
+    """
+    backend: Any = solver.workspace.backend
+    workspace: Any = solver.workspace
+    load, copied, times = workspace.events, [0.0], []
+
+    def events(batch: EventBatch) -> Any:
+        begin = time.process_time()
+        room = load(batch)
+        copied[0] += time.process_time() - begin
+        return room
+
     for _ in range(rounds):
         backend.idle = [values.copy() for values in backend.downloads]
+        copied[0], workspace.events = 0.0, events
         try:
-            times.append(_time(run))
+            times.append((_time(run), copied[0]))
         finally:
-            backend.idle = None
+            backend.idle, workspace.events = None, load
     return min(times)
 
 
@@ -428,11 +443,15 @@ def lines(method: str, observed: Observed, code: dict[str, Code], kernels: int) 
     goal = GOALS.get((method, observed.windows, observed.events))
     made = [
         f"{method}, B = {observed.windows}, {observed.events} events a window: "
-        f"{counts.launches + counts.recorded} launches, {counts.uploads} uploads "
+        f"{counts.launches + counts.recorded} launches in {counts.graphs} graphs, {counts.uploads} uploads "
         f"({counts.up_bytes / 1e6:.2f} MB), {counts.downloads} downloads "
         f"({counts.down_bytes / 1e6:.2f} MB)" + ("" if observed.right else "  NOT READ"),
     ]
-    ms = 1e3
+    ms, us = 1e3, 1e6 / observed.windows
+    made.append(
+        f"  Python a window: {us * (observed.host - observed.copied):.1f} us, "
+        f"and {us * observed.copied:.1f} us to copy its events"
+    )
     for device in DEVICES:
         for name, bus in BUSES.items():
             m = model(observed, code, device, bus)

@@ -126,6 +126,7 @@ WORK: dict[str, Callable[[Sizes], Work]] = {
     "lag_operator.lag_rows": lambda s: Work(0, s.of("taps"), 10),
     "lag_operator.lag_columns": lambda s: Work(0, s.of("taps"), 10),
     "align_poses.align_poses": _alignment,
+    "score_poses.score_poses": lambda s: Work(0, s.of("model", 0) / s.of("model_ptr", 0), 8),
     "code_rhs.sample_lattice": lambda s: Work(s.given["samples_a_module"], s.of("samples_out"), 5),
     "code_rhs.fold_samples": _fold,
     "sum_equations.sum_equations": lambda s: Work(0, s.of("rhs") / 8, 24),

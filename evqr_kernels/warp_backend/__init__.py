@@ -17,6 +17,7 @@ from evqr_kernels.checks import check_contiguous
 from evqr_kernels.registry import require_device
 from evqr_kernels.warp_backend import cache, replay
 from evqr_kernels.warp_backend.cache import is_compiled
+from evqr_kernels.warp_backend.graph import turn_on
 from evqr_kernels.warp_backend.language import clear, kernels_of, record, variant
 
 _DTYPES = {
@@ -43,14 +44,16 @@ class WarpBackend(Launchers):
     def empty(self, shape: tuple[int, ...], dtype: DTypeLike, device: str) -> wp.array:
         """Make an array with undefined contents."""
         require_device(self, device)
-        return wp.empty(shape, dtype=_DTYPES[np.dtype(dtype)], device=device)
+        with turn_on(device == "cpu"):
+            return wp.empty(shape, dtype=_DTYPES[np.dtype(dtype)], device=device)
 
     def from_host(self, array: NDArray[Any], device: str) -> wp.array:
         """Bring a NumPy array to the device; on the CPU it is the same memory."""
         require_device(self, device)
         check_contiguous("array", array.flags.c_contiguous)
         if device != "cpu":
-            return wp.array(array, dtype=_DTYPES[array.dtype], device=device)
+            with turn_on(False):
+                return wp.array(array, dtype=_DTYPES[array.dtype], device=device)
         # half the time that Warp takes to look the array over, some fifty times a window
         address = array.__array_interface__["data"][0]
         wrapped = wp.array(ptr=address, dtype=_DTYPES[array.dtype], shape=array.shape, device=self._cpu)
@@ -59,11 +62,13 @@ class WarpBackend(Launchers):
 
     def to_host(self, array: wp.array) -> NDArray[Any]:
         """Bring an array back; on the CPU it is the same memory.  Waits for the device."""
-        return array.numpy()
+        with turn_on(array.device.is_cpu):
+            return array.numpy()
 
     def assign(self, array: wp.array, values: NDArray[Any]) -> None:
         """Copy a NumPy array of the same shape and dtype into an array."""
-        array.assign(values)
+        with turn_on(array.device.is_cpu):
+            array.assign(values)
 
     def part(self, block: wp.array, first: int, shape: tuple[int, ...], dtype: DTypeLike) -> wp.array:
         """View some words of a block as an array."""

@@ -11,6 +11,7 @@ from evqr_kernels.checks import MOST_ELEMENTS
 from evqr_kernels.operation import Variant
 from evqr_kernels.operations import OPERATIONS
 from evqr_kernels.warp_backend.cache import load_module
+from evqr_kernels.warp_backend.graph import turn_on
 from evqr_kernels.warp_backend.replay import Recorded, replayer
 
 
@@ -30,12 +31,13 @@ def launch(kernel: wp.Kernel, dim: Any, *, inputs: list[Any], outputs: list[Any]
         _recording.kernels.append((kernel, dim))
         return
     noting = _recording.steps is not None
-    try:
-        command = wp.launch(kernel, dim, inputs=inputs, outputs=outputs, device=device, record_cmd=noting)
-    except Exception:
-        if not load_module(kernel.module, device.alias):
-            raise
-        command = wp.launch(kernel, dim, inputs=inputs, outputs=outputs, device=device, record_cmd=noting)
+    with turn_on(device.is_cpu):
+        try:
+            command = wp.launch(kernel, dim, inputs=inputs, outputs=outputs, device=device, record_cmd=noting)
+        except Exception:
+            if not load_module(kernel.module, device.alias):
+                raise
+            command = wp.launch(kernel, dim, inputs=inputs, outputs=outputs, device=device, record_cmd=noting)
     if _recording.steps is None:
         return
     command.arrays = (inputs, outputs)  # a command has their addresses only
@@ -47,7 +49,8 @@ def clear(array: wp.array) -> None:
     if _recording.kernels is not None:
         return
     if _recording.steps is None:
-        array.zero_()
+        with turn_on(array.device.is_cpu):
+            array.zero_()
     elif array.size:
         _recording.steps.append(array)
 

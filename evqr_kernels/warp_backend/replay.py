@@ -20,6 +20,8 @@ from typing import Any, TypeAlias
 import numpy as np
 import warp as wp
 
+from evqr_kernels.warp_backend.graph import Graph
+
 Recorded: TypeAlias = "wp.Launch | wp.array"
 """A launch, or an array to fill with zeros."""
 
@@ -86,6 +88,8 @@ def replayer(steps: list[Recorded], looks: int = MOST_LOOKS) -> Callable[[], Any
     if steps and steps[0].device.is_cpu and solid and wp.config.version.startswith(ENTRIES_OF):
         return Replay(steps, looks)
     calls = [step.launch if isinstance(step, wp.Launch) else step.zero_ for step in steps]
+    if steps and not steps[0].device.is_cpu:
+        return Graph(calls, steps[0].device)
 
     def replay() -> None:
         for call in calls:

@@ -188,3 +188,69 @@ def test_a_recorded_sequence_can_be_captured_in_a_graph():
         wp.capture_launch(capture.graph)
     assert value(backend, image, device) == 15.0
     assert value(backend, mixed, device) == 30.0
+
+
+@pytest.fixture
+def graph_of():
+    """What a recorded sequence is on a GPU, on the CPU, which captures graphs of launches one by one, too."""
+    import warp as wp
+
+    from evqr_kernels.warp_backend.graph import Graph
+    from evqr_kernels.warp_backend.language import recorded
+
+    def make(run):
+        steps = recorded(run)
+        calls = [step.launch if isinstance(step, wp.Launch) else step.zero_ for step in steps]
+        return Graph(calls, wp.get_device("cpu"))
+
+    return make
+
+
+def test_on_a_gpu_a_sequence_becomes_a_graph(graph_of, monkeypatch):
+    """Captured once, when it is made the second time."""
+    import warp as wp
+
+    backend, launches, graph_launch = get_backend("warp"), [], wp.capture_launch
+    monkeypatch.setattr(wp, "capture_launch", lambda graph: (launches.append(graph), graph_launch(graph)))
+    image, mixed, run = counting(backend, "cpu")
+    graph = graph_of(run)
+    for times in (1, 2, 3, 4):
+        graph()
+        assert value(backend, image, "cpu") == 3.0 * times
+        assert value(backend, mixed, "cpu") == 6.0 * times
+    assert len(launches) == 3 and len({id(each) for each in launches}) == 1
+
+
+def test_a_graph_can_be_a_part_of_another(graph_of):
+    import warp as wp
+
+    backend = get_backend("warp")
+    image, _, run = counting(backend, "cpu")
+    graph = graph_of(run)
+    graph()
+    with wp.ScopedCapture(device="cpu") as capture:
+        graph()
+    assert value(backend, image, "cpu") == 3.0
+    wp.capture_launch(capture.graph)
+    graph()
+    assert value(backend, image, "cpu") == 9.0
+
+
+def test_where_no_graph_is_captured_steps_are_made_one_by_one(graph_of, monkeypatch, caplog):
+    import warp as wp
+
+    class Refusing(wp.ScopedCapture):
+        def __exit__(self, *args):
+            super().__exit__(*args)
+            raise RuntimeError("memory was allocated")
+
+    backend = get_backend("warp")
+    image, _, run = counting(backend, "cpu")
+    graph = graph_of(run)
+    monkeypatch.setattr(wp, "ScopedCapture", Refusing)
+    for times in (1, 2, 3):
+        graph()
+        assert value(backend, image, "cpu") == 3.0 * times
+    assert [record.getMessage() for record in caplog.records] == [
+        "cpu captures no graph, kernels are launched one by one: memory was allocated"
+    ]

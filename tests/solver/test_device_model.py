@@ -53,7 +53,7 @@ CODE = machine_code.Code(once=100, around=0, inside=40, loads=4, atomics=0)
 def modelled(*launches, bus=1e9, **counts):
     known = {machine_code.key_of(launch.kernel, 90): CODE for launch in launches if launch.kernel}
     made = Counts(made=Counter(launches), recorded=len(launches), **counts)
-    observed = dm.Observed(1, 1000, made, {}, host=1e-3, decode=2e-3, right=True)
+    observed = dm.Observed(1, 1000, made, {}, host=1e-3, copied=1e-4, decode=2e-3, right=True)
     return dm.model(observed, known, GPU, bus)
 
 
@@ -104,9 +104,9 @@ def test_conjugate_gradients_that_have_ended_do_no_more_work():
 
 def test_a_batch_takes_what_its_parts_take():
     launches = clip_rows(1, width=1600), Launch("clear", None, 100, (), 400)
-    m = modelled(*launches, uploads=2, downloads=1, up_bytes=3_000_000, down_bytes=1_000_000)
+    m = modelled(*launches, graphs=1, uploads=2, downloads=1, up_bytes=3_000_000, down_bytes=1_000_000)
     assert m.bus == pytest.approx(4e-3) and m.copies == pytest.approx(44e-6)
-    assert m.launching == pytest.approx(8e-6) and m.device == pytest.approx(4100 * 2.5e-9 + 2 * dm.GAP)
+    assert m.launching == pytest.approx(10e-6) and m.device == pytest.approx(4100 * 2.5e-9 + 2 * dm.GAP)
     assert m.total == pytest.approx(1e-3 + 4e-3 + 44e-6 + m.device)
     assert {part.name: part.launches for part in m.parts} == {"clip_outliers.clip_rows": 1, "clear": 1}
 
@@ -115,9 +115,9 @@ def test_a_kernel_that_the_table_does_not_have_is_marked():
     launch = Launch("new", Kernel("new"), 10, (("image", (5, 20)), ("setting", 3)), 400)
     (part,) = modelled(launch).parts
     assert part.instructions == 100 + 40 * 20
-    observed = dm.Observed(128, 36_000, Counts(made=Counter([launch])), {}, 1e-3, 2e-3, right=False)
+    observed = dm.Observed(128, 36_000, Counts(made=Counter([launch])), {}, 1e-3, 1e-4, 2e-3, right=False)
     printed = dm.lines("tracked", observed, defaultdict(lambda: CODE), 3)
-    assert "NOT READ" in printed[0] and "goal 10000" in printed[1]
+    assert "NOT READ" in printed[0] and "goal 10000" in printed[2]
     assert any("new.new? " in line for line in printed)
 
 
