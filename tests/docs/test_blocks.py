@@ -31,7 +31,7 @@ PAGES += sorted(path for room in ("tutorials", "how-to") for path in (ROOT / "do
 BLOCK = re.compile(r"^```(\w+)\n(.*?)^```$", re.MULTILINE | re.DOTALL)
 EXITS = re.compile(r"# exits with (\d+)")
 UNTIL = "# until Ctrl-C"
-PAGE_PORT = "8080"
+PAGE_PORT, OPCUA_PORT = "8080", ":4840"
 
 RECORDINGS = ("line3.raw", "line3.h5", "shift1.h5", "shift2.h5", "shift1/a.h5")
 """What README reads: all of them the demo's, since the name of a file says nothing."""
@@ -115,7 +115,7 @@ def test_every_block_runs(page, tmp_path, monkeypatch):
             Path(name).write_bytes(demo.read_bytes())
     names, printed, port = {"__name__": "__main__"}, "", free_port()
     for language, block in blocks_of(page):
-        block = block.replace(PAGE_PORT, port)
+        block = block.replace(PAGE_PORT, port).replace(OPCUA_PORT, f":{port}")
         if language == "text":
             assert is_said(block, printed), f"{block}\n  is not among\n{printed}"
             continue
