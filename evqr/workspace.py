@@ -275,19 +275,20 @@ class EventRoom:
 
     def load(self, batch: EventBatch) -> None:
         """Bring the events of a batch there, unless they are there already, alone or the first of more."""
-        parts = batch.parts
+        parts, there = batch.parts, 0
         if len(parts) == len(self._parts):
             if all(map(operator.is_, parts, self._parts)) or (
                 len(parts) == 1 and parts[0].begin(self._parts[0])
             ):
                 return
+            if len(parts) == 1 and self._parts[0].begin(parts[0]):
+                there = len(self._parts[0])  # on the host, the first of these
         self._parts, columns = parts, self._mirrors
-        x, y, stamp = (mirror.host for mirror in columns)
         end = batch.n_events
-        if parts:
-            np.concatenate([part.x for part in parts], out=x[:end])
-            np.concatenate([part.y for part in parts], out=y[:end])
-            np.concatenate([part.stamp for part in parts], out=stamp[:end])
+        for name, column in zip(("x", "y", "stamp"), columns, strict=True):
+            if parts:
+                # all of each but where there is one alone
+                np.concatenate([getattr(part, name)[there:] for part in parts], out=column.host[there:end])
         together = self.capacity - end <= LARGEST_GAP + end // 8
         for begin, last in [(columns[0], columns[-1])] if together else zip(columns, columns, strict=True):
             self._staging.push_rows(begin, last, end)

@@ -63,6 +63,16 @@ def test_windows_of_one_beginning_share_their_events(workspace, events):
     assert_there(workspace.events(of(long)), of(long))
 
 
+def test_of_a_longer_window_only_the_rest_is_written(workspace, events):
+    buffer = EventBuffer.of(events)
+    room = workspace.events(of(buffer.window(500, 1500)))
+    before = int(room.x[0])
+    spoil(room)
+    assert workspace.events(of(buffer.window(500, 3500))).x[0] == 777
+    room.x[0] = before
+    assert_there(room, of(buffer.window(500, 3500)))
+
+
 @pytest.mark.parametrize("chunk", [1, 7, 600, 2500])
 def test_windows_share_their_events_across_chunks(chunk, workspace, events):
     buffer = EventBuffer(events.width, events.height)
