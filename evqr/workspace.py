@@ -287,7 +287,7 @@ class EventRoom:
         end = batch.n_events
         for name, column in zip(("x", "y", "stamp"), columns, strict=True):
             if parts:
-                # all of each but where there is one alone
+                # of several parts none is there
                 np.concatenate([getattr(part, name)[there:] for part in parts], out=column.host[there:end])
         together = self.capacity - end <= LARGEST_GAP + end // 8
         for begin, last in [(columns[0], columns[-1])] if together else zip(columns, columns, strict=True):
