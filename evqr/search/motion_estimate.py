@@ -23,6 +23,7 @@ from evqr.events.buffer import Asking
 from evqr.events.window import Window
 from evqr.motion import Motion
 from evqr.reason import Reason
+from evqr.search.noise import LEAST_CELL_PX, noise_squares
 from evqr.values import Value
 from evqr.workspace import EventRoom, Staging, Workspace
 from evqr_kernels.operations.images import taps_beside
@@ -45,12 +46,6 @@ CLEAR_PEAK = 0.1
 NOISE_PEAK = 5.0
 """Standard deviations of the correlation of halves that have nothing to do with each other, which the highest
 of them all does not reach."""
-
-NOISE_SPREAD = 3.0
-"""Standard deviations within which counts in cells are as those of noise: they are not correlated then."""
-
-LEAST_CELL_PX = 3
-"""Cells from which counts tell noise from what moves: a pixel that has fired may not fire again so soon."""
 
 BYTES_A_CELL = 20
 """Bytes of all arrays, a binned pixel of a window. Measured."""
@@ -113,7 +108,8 @@ class _Correlator:
             halves += (first, middle), (middle, last)
             if self._reduction >= LEAST_CELL_PX:
                 on = int(np.count_nonzero(sample.window.events.p > 0))
-                self._quiet.host[k] = _noise_squares(last - first, on, sample.window, self._reduction)
+                cells = 2.0 * sample.window.width * sample.window.height / self._reduction**2
+                self._quiet.host[k] = noise_squares(last - first, on, cells)
         self._ptr.fill(halves)
         self._run()
         peaks, energies = self._peak.read().tolist(), self._energy.read().tolist()
@@ -121,19 +117,6 @@ class _Correlator:
             ((x, y), highest / max(math.sqrt(first * second), 1e-9))
             for (x, y, highest), (first, second), _ in zip(peaks, energies, samples, strict=False)
         ]
-
-
-def _noise_squares(count: int, on: int, window: Window, reduction: int) -> tuple[float, float]:
-    """Give between what the squares of all cells of both halves sum up to where events are noise.
-
-    Of a Poisson number of events, l in the mean, with signs whose mean is s, the sum has the square
-    l + (l s)^2 in the mean, with a variance of 2 l^2 + 4 l (l s)^2 where the events of all cells are counted.
-    """
-    cells = 2.0 * window.width * window.height / reduction**2
-    mean, imbalance = count / cells, ((2 * on - count) / cells) ** 2
-    middle = cells * (mean + imbalance)
-    spread = NOISE_SPREAD * math.sqrt(cells * (2.0 * mean**2 + 4.0 * mean * imbalance))
-    return middle - spread, middle + spread
 
 
 @dataclass(frozen=True, eq=False)
@@ -348,8 +331,9 @@ def motion_probes(
     quiet : QuietSpells
         Of earlier searches in the same stream: windows that it covers are left out. None: none are.
     since_us : int [us]
-        Longer windows that tell the speed may begin before, but not before this, so that they end with the
-        shortest, and nothing is waited for where nothing moves. None: all begin at the same time.
+        Longer windows may begin before, but not before this, so that they end with the shortest: nothing is
+        waited for where nothing moves, and what is slow is seen in events that are here. Those that tell the
+        speed are left out as long as there have not been so many. None: all begin at the same time.
 
     Returns
     -------
@@ -365,12 +349,12 @@ def motion_probes(
     length, quiet = cfg.probe_us, quiet or QuietSpells()
     cold = guess is None
     for _ in range(MOST_PROBES if cold else 0):
+        first_us, last_us = _ending_early(start_us, length, cfg, since_us)
+        if since_us is not None and last_us > start_us + cfg.probe_us:
+            return Reason.NOTHING_MOVES  # the stream is too young
         if not quiet.covers(start_us, length):
             # what is so fast that halves of the shortest window are far apart is no better seen in a longer
-            first_us = start_us
-            if since_us is not None:
-                first_us = min(max(since_us, start_us + cfg.probe_us - length), start_us)
-            coarse = yield Probe(first_us, first_us + length, cfg.reduction, length == cfg.probe_us)
+            coarse = yield Probe(first_us, last_us, cfg.reduction, length == cfg.probe_us)
             if coarse is Reason.NO_EVENTS:
                 return coarse
             if isinstance(coarse, MotionEstimate) and coarse.motion.travel_px(length) >= LEAST_TRAVEL_PX:
@@ -382,11 +366,19 @@ def motion_probes(
         length = min(LONGER * length, cfg.longest_us)
     if guess is None:
         return Reason.NOTHING_MOVES
-    end_us = start_us + guess.window_us(cfg.travel_px, longest_us=cfg.longest_us)
-    found = yield Probe(start_us, end_us, 1, False)
+    window_us = guess.window_us(cfg.travel_px, longest_us=cfg.longest_us)
+    found = yield Probe(*_ending_early(start_us, window_us, cfg, since_us), 1, False)
     if cold and not isinstance(found, MotionEstimate):
         quiet.add(start_us, length)  # what moves comes late in the window, and shorter ones will show it
     return found
+
+
+def _ending_early(start_us: int, length_us: int, cfg: MotionConfig, since_us: int | None) -> tuple[int, int]:
+    """Give the bounds of a window that ends with the shortest where it may begin before."""
+    first_us = start_us
+    if since_us is not None:
+        first_us = min(max(since_us, start_us + cfg.probe_us - length_us), start_us)
+    return first_us, first_us + length_us
 
 
 def find_motion(

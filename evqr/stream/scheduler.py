@@ -33,10 +33,11 @@ from evqr.search.motion_estimate import MotionEstimate, Probe, QuietSpells
 from evqr.seen import Statistics
 from evqr.solver import Solver
 from evqr.stream.known import KnownCodes
+from evqr.stream.moving import Moving
 from evqr.stream.records import CodeAgain, CodeLeft, CodeRead, CodeUnread, Searched, StreamRecord
 from evqr.stream.track import Track
 from evqr.stream.unread import UnreadCodes
-from evqr.work import Activity, Estimate, Find, Follow, Working, answer, moving_at, together, with_windows
+from evqr.work import Activity, Estimate, Find, Follow, Working, answer, together, with_windows
 
 FOLLOW, SEARCH = range(2)
 """Ranks of activities: of those that wait for the same time, those that follow a code go on first."""
@@ -123,10 +124,12 @@ class StreamScheduler:
         self._tracks: list[Track] = []
         self._lost: list[Track] = []
         self._motion: Motion | None = None
-        self._quiet = QuietSpells()
+        self._moving = Moving(
+            self._events, width, height, self._solver, lambda: self._outside_tracks if self._tracks else None
+        )
         self._tau_us: tuple[float, float] | None = None
         self._clock = StageClock()
-        self._windows = self._searches = self._vain = 0
+        self._windows = self._searches = self._vain = self._found = 0
         self._unread = UnreadCodes(self._config)
         self._ended: tuple[int, int] | None = None
 
@@ -329,13 +332,26 @@ class StreamScheduler:
     # ---- searching
 
     def _search(self, at_us: int) -> Activity[None]:
-        """Search again and again, from a time on."""
+        """Search again and again, from a time on.
+
+        What is slow shows in windows that are not here before the stream has been so long.  One that ends
+        earlier without a code is searched once more, in windows that are as long as it.
+        """
         while True:
             self._search_us = at_us
             yield at_us, at_us + 1
             if not self._events.reaches(at_us + 1):
-                return
+                if self._found or self._moving.patient or not self._is_young(at_us):
+                    return
+                self._moving.patient, self._moving.quiet = True, QuietSpells()
+                at_us = self._events.first_us or 0
+                continue
+            self._moving.newest_us = max(self._moving.newest_us, at_us)
             at_us = yield from self._search_once(at_us)
+
+    def _is_young(self, at_us: int) -> bool:
+        """Whether the stream has not been as long as the longest window yet."""
+        return at_us - (self._events.first_us or 0) < self._config.motion.longest_us
 
     def _first_event(self, from_us: int) -> Activity[int]:
         """Wait for the first event from a time on; say when it is, or a time past the end of the stream.
@@ -374,15 +390,19 @@ class StreamScheduler:
                 return first_us  # else all events here are of codes that are followed: search behind them
         if motion is None:
             return start_us + self._config.scheduler.unknown_us
-        return start_us + self._step_us(motion)
+        due_us = start_us + self._step_us(motion)
+        next_us = yield from self._moving.faster(motion, start_us, due_us, self._config.scheduler.unknown_us)
+        if next_us < due_us:
+            self._motion = None
+        return next_us
 
     def _tries(self, at_us: int) -> Activity[list[_Try]]:
         """Search at a time, and ahead of it on the other threads while nothing else is going on."""
         if self._pool is None or self._tracks or self._motion is None:
-            tried = yield from self._try(at_us, self._quiet)
+            tried = yield from self._try(at_us)
             return [tried]
         step = self._step_us(self._motion)
-        asking = [self._try(at_us + k * step) for k in range(len(self._solvers))]
+        asking = [self._try(at_us + k * step, ahead=True) for k in range(len(self._solvers))]
         # none of them asks for more, so each may run to its end
         most = max(self._config.motion.longest_us, self._config.window_us or 0)
         yield at_us, at_us + (len(asking) - 1) * step + most
@@ -398,19 +418,19 @@ class StreamScheduler:
         step = max(self._solver.window_us(motion), round(motion.travel_time_us(travel)))
         return min(step, cfg.longest_us)
 
-    def _try(self, at_us: int, quiet: QuietSpells | None = None) -> Activity[_Try]:
-        """Search once; may run on any thread and changes nothing here but ``quiet``."""
+    def _try(self, at_us: int, *, ahead: bool = False) -> Activity[_Try]:
+        """Search once; may run on any thread where it is ``ahead``, and changes nothing here then."""
         clock, solver = StageClock(), self._solver
-        moving, known_us = yield from self._moving_at(at_us, self._motion, quiet)
+        moving, start_us, known_us = yield from self._moving.at(at_us, self._motion, ahead=ahead)
         clock.add(moving.timings_ms)
         if isinstance(moving, NotFound) and self._motion is not None:
-            moving, known_us = yield from self._moving_at(at_us, None, quiet)
+            moving, start_us, known_us = yield from self._moving.at(at_us, None, ahead=ahead)
             clock.add(moving.timings_ms)
         if isinstance(moving, NotFound):
             return _Try(at_us, None, None, replace(moving, timings_ms=clock.ms))
         motion = moving.motion
-        end_us = at_us + solver.window_us(motion)
-        window = yield at_us, end_us
+        end_us = start_us + solver.window_us(motion)
+        window = yield start_us, end_us
         if not self._events.reaches(end_us):
             ends = NotFound(Reason.RECORDING_ENDS, closest=-1.0, timings_ms=clock.ms)
             return _Try(at_us, motion, None, ends)
@@ -418,7 +438,7 @@ class StreamScheduler:
         if isinstance(found, NotFound):
             clock.add(found.timings_ms)
             return _Try(at_us, motion, window, replace(found, timings_ms=clock.ms))
-        longer = self._events.window(at_us, max(end_us, known_us))
+        longer = self._events.window(start_us, max(end_us, known_us))
         best, *others = yield from self._each_with_its_motion(longer, window, found, clock)
         clock.add(best.timings_ms)
         return _Try(at_us, motion, window, (replace(best, timings_ms=clock.ms), *others))
@@ -458,25 +478,6 @@ class StreamScheduler:
         (x, y), (own_x, own_y) = motion.velocity.tolist(), own.motion.velocity.tolist()
         return math.hypot(own_x - x, own_y - y) > CLEARLY_OFF * math.hypot(x, y)
 
-    def _moving_at(
-        self, at_us: int, guess: Motion | None, quiet: QuietSpells | None
-    ) -> Activity[tuple[MotionEstimate | NotFound, int]]:
-        """Estimate the motion of what is not followed already; say up to when the events are there [us]."""
-        asking = moving_at(at_us, self._solver, guess=guess, quiet=quiet, since_us=self._events.first_us)
-        answer: Any = None
-        end_us = at_us
-        while True:
-            try:
-                asked = asking.send(answer)
-            except StopIteration as end:
-                return end.value, end_us
-            answer = yield asked
-            if isinstance(answer, Window):
-                end_us = answer.end_us
-                if self._tracks:
-                    enough = 2 * self._config.motion.most_events  # of which so many are looked at
-                    answer = self._outside_tracks(answer.thinned(max(1, len(answer) // enough)))
-
     def _take(self, tried: _Try) -> Working[None]:
         """Follow the codes that a search found."""
         found, codes = tried.found, 0
@@ -490,10 +491,11 @@ class StreamScheduler:
                 self._merge_with_earlier(track)
                 self._wait(_Following(track), FOLLOW, track.next_window())
             codes = len(tracks)
+            self._found += codes
         not_found = found if isinstance(found, NotFound) else None
         if not_found is not None:
             self._clock.add(not_found.timings_ms)
-        end_us = tried.start_us if tried.window is None else tried.window.end_us
+        end_us = tried.start_us if tried.window is None else max(tried.start_us, tried.window.end_us)
         self._records.append(
             Searched(tried.start_us, end_us, codes, None if codes else not_found, tried.motion)
         )
@@ -555,7 +557,7 @@ class StreamScheduler:
     def _finish(self, track: Track) -> None:
         """Follow a code no more."""
         self._tracks.remove(track)
-        self._quiet = QuietSpells()  # what was seen without its events says nothing of them
+        self._moving.quiet = QuietSpells()  # what was seen without its events says nothing of them
         self._lost.append(track)
         self._clock.add(track.timings_ms)
         if track.code is not None:

@@ -176,7 +176,7 @@ def test_the_search_for_motion_asks_for_longer_windows_one_by_one(workspace):
 
 @pytest.mark.parametrize("since_us", [None, 0, 90_000, 99_900])
 def test_longer_windows_may_end_with_the_shortest(since_us):
-    """So that nothing is waited for where nothing moves; at the beginning of a stream they cannot."""
+    """So that nothing is waited for where nothing moves; as long as a stream is young there are none."""
     cfg, start_us, probes = MotionConfig(), 100_000, []
     asking = motion_probes(start_us, cfg, since_us=since_us)
     with pytest.raises(StopIteration) as end:
@@ -185,10 +185,21 @@ def test_longer_windows_may_end_with_the_shortest(since_us):
             probes.append(asking.send(Reason.NOTHING_MOVES))
     assert end.value.value is Reason.NOTHING_MOVES
     lengths = [probe.end_us - probe.start_us for probe in probes]
-    assert (lengths[0], lengths[-1]) == (cfg.probe_us, cfg.longest_us) and lengths == sorted(lengths)
+    last_us = start_us + cfg.probe_us
+    there = [length for length in (1_000, 4_000, 16_000, 50_000) if length <= last_us - (since_us or 0)]
+    assert lengths == there
     for probe, length in zip(probes, lengths, strict=True):
-        first_us = start_us if since_us is None else max(since_us, start_us + cfg.probe_us - length)
-        assert probe.start_us == min(first_us, start_us)
+        assert probe.start_us == (start_us if since_us is None else last_us - length)
+
+
+def test_what_is_slow_is_seen_in_events_that_are_here():
+    cfg = MotionConfig()
+    asking = motion_probes(100_000, cfg, since_us=0)
+    next(asking)
+    coarse = asking.send(Reason.NOTHING_MOVES)
+    slow = Motion(np.array([300.0, 0.0]), coarse.end_us)  # 3 px in 10 ms
+    fine = asking.send(MotionEstimate(slow, 0.5))
+    assert (fine.start_us, fine.end_us, fine.reduction) == (91_000, 101_000, 1)
 
 
 @pytest.mark.parametrize("backend", ["warp", "numpy"])

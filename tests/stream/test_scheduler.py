@@ -247,7 +247,7 @@ class FollowedFor:
 
 def test_a_search_that_waits_for_a_long_window_holds_up_no_code_that_is_followed(monkeypatch):
     monkeypatch.setattr("evqr.stream.scheduler.Track", FollowedFor)
-    monkeypatch.setattr("evqr.stream.scheduler.moving_at", Scripted.moving_at)
+    monkeypatch.setattr("evqr.stream.moving.moving_at", Scripted.moving_at)
     monkeypatch.setattr(FollowedFor, "followed", [])
     events = noise(60_000, 20_000, width=64, height=48)
     scheduler = StreamScheduler([Scripted()], 64, 48)
@@ -281,12 +281,15 @@ class Vain:
             return NotFound(Reason.NOTHING_MOVES)
         return MotionEstimate(Motion([4_000.0, 0.0]), 0.5)
 
+    def motions(self, windows, *, reduction=None, thorough=True):
+        return [NotFound(Reason.NOTHING_MOVES) for _ in windows]
+
     def find(self, batch, motions, *, tau_us=None):
         return [NotFound(Reason.DISAGREES)]
 
 
 def test_searches_in_vain_become_rarer_until_something_changes(monkeypatch):
-    monkeypatch.setattr("evqr.stream.scheduler.moving_at", Vain.moving_at)
+    monkeypatch.setattr("evqr.stream.moving.moving_at", Vain.moving_at)
     solver = Vain(still=(7, 8))  # from a guess and without: one search
     events = noise(60_000, 70_000, width=64, height=48)
     records, _ = records_of([events], solver)
