@@ -11,8 +11,8 @@ stream.  Results and scratch are XLA's, new ones; nothing is accumulated into an
 and ``sigma`` are constants when a function is traced.
 
 Saved for the backward pass are the inputs alone.  It makes adjoints in all inputs that an operation is
-differentiable in; other inputs get a gradient of zero.  Adjoints are not differentiable once more; `jax.vmap`
-calls one after the other.
+differentiable in; other inputs get a gradient of zero.  Adjoints are not differentiable once more, TypeError
+says so; `jax.vmap` calls one after the other.
 
 They raise TypeError and ValueError as those functions do.  Values of arrays are looked at on the CPU: a
 function that was traced raises such a line when it runs, as an error of JAX.  On a GPU nobody looks: where
@@ -108,7 +108,7 @@ def _adjoints(rule: Rule, arrays: tuple[jax.Array, ...], adj: jax.Array) -> tupl
     scratch = rule.adjoint_scratch(sizes, _tile(rule.adjoint_operation.name))
     ranks = _ranks([*sizes.values()]), adj.ndim, _ranks(outputs), _ranks(scratch)
     call = _adjoint(rule, str(adj.dtype), *ranks)
-    results = call((*arrays, adj), [*outputs, *scratch])
+    results = _once(call, (*outputs, *scratch), rule.op, *arrays, adj)
     found = dict(zip(rule.varied, results, strict=False)) | dict.fromkeys(rule.added, adj)
 
     def of(name: str, array: jax.Array) -> Any:
@@ -120,6 +120,22 @@ def _adjoints(rule: Rule, arrays: tuple[jax.Array, ...], adj: jax.Array) -> tupl
 
 
 _differentiable.defvjp(_with_inputs, _adjoints)
+
+
+@functools.partial(jax.custom_vjp, nondiff_argnums=(0, 1, 2))
+def _once(call: _Call, shapes: tuple[Shape, ...], op: str, *arrays: jax.Array) -> Sequence[jax.Array]:
+    """Compute adjoints, which are not differentiable once more."""
+    return call(arrays, shapes)
+
+
+def _no_second(call: _Call, shapes: tuple[Shape, ...], op: str, *arrays: jax.Array) -> Any:
+    raise TypeError(
+        f"{op}_adjoint has no adjoint of its own: {op} is differentiable once; difference its gradient, or "
+        "stop it by jax.lax.stop_gradient"
+    )
+
+
+_once.defvjp(_no_second, _no_second)
 
 
 class _Call:

@@ -86,6 +86,37 @@ def test_what_lies_on_a_gpu_is_refused_by_name():
         )
 
 
+def on_a_gpu(array):
+    """As CuPy's and Numba's arrays are: they tell an address, shape, kind and strides, and nothing else."""
+    made, told = Foreign(array), dict(array.__array_interface__, version=3)
+    told["strides"] = None if array.flags.c_contiguous else array.strides
+    made.__cuda_array_interface__ = told
+    return made
+
+
+def test_arrays_with_the_interface_of_gpus_are_views(monkeypatch):
+    """Warp makes the view; here, where there is no GPU, of the same memory on the host."""
+    import warp as wp
+
+    real, array = wp.array, np.arange(6, dtype=np.float32).reshape(2, 3)
+
+    def of_host(given, copy):
+        told = given.__cuda_array_interface__
+        assert copy is False
+        dtype = wp.dtype_from_numpy(np.dtype(told["typestr"]))
+        return real(
+            ptr=told["data"][0], shape=told["shape"], strides=told["strides"], dtype=dtype, device="cpu"
+        )
+
+    monkeypatch.setattr(wp, "array", of_host)
+    view = warp_view(on_a_gpu(array))
+    assert view.ptr == array.ctypes.data and view.shape == (2, 3)
+    with pytest.raises(ValueError, match="array must be contiguous, it is not copied"):
+        warp_view(on_a_gpu(array[:, ::2]))
+    with pytest.raises(TypeError, match="array must be float32, float64, int32"):
+        warp_view(on_a_gpu(array.astype(np.int64)))
+
+
 def test_what_does_not_give_its_memory_away_is_refused_by_name():
     class Closed:
         def __dlpack_device__(self):

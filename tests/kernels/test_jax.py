@@ -102,6 +102,28 @@ def test_one_after_the_other_under_vmap(rng):
         np.testing.assert_array_equal(one, evqr_kernels.jax.brightness_residual(luminance, events, m))
 
 
+def sharpness_of_motion(rng):
+    given = arrays_of(splat_events(rng, np.float64))
+    motion = given.pop("motion")
+    options = splat_events(rng, np.float64).options
+    return (lambda m: (evqr_kernels.jax.splat_events(motion=m, **given, **options) ** 2).sum()), motion
+
+
+def test_gradients_of_a_batch_compiled(rng):
+    """`jit`, `vmap` and `grad`, one inside the other."""
+    sharpness, motion = sharpness_of_motion(rng)
+    motions = jnp.stack([motion, 0.5 * motion])
+    together = jax.jit(jax.vmap(jax.grad(sharpness)))(motions)
+    for one, m in zip(together, motions, strict=True):
+        np.testing.assert_allclose(one, jax.grad(sharpness)(m), rtol=1e-9)
+
+
+def test_a_second_gradient_is_refused(rng):
+    sharpness, motion = sharpness_of_motion(rng)
+    with pytest.raises(TypeError, match="splat_events_adjoint has no adjoint of its own"):
+        jax.grad(lambda m: jax.grad(sharpness)(m).sum())(motion)
+
+
 @pytest.mark.parametrize(
     ("change", "error", "message"),
     [
