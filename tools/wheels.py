@@ -34,6 +34,7 @@ KNOWN = {
     ("formats", "macos"): NO_AEDAT,
     ("test", "macos"): NO_AEDAT,
     ("dev", "macos"): NO_AEDAT,
+    ("live", "macos"): "neither neuromorphic-drivers nor dv-processing has any for Macs",
     ("portability", "macos"): "NVIDIA's disassembler is for Linux and Windows",
 }
 """Extra and system of what has no wheels, with any Python, and why."""
