@@ -195,3 +195,27 @@ def test_a_spool_that_is_something_else(tmp_path):
     path.write_bytes(b"this is no database, whatever its name says")
     with pytest.raises(UsageError, match=r"spool\.db: cannot be used"):
         Outlet(Collects(), spool=path)
+
+
+def test_a_disk_that_is_full_while_it_runs_stops_nothing_and_is_told(tmp_path):
+    """What found no room is counted, and told once there is some; what was taken arrives."""
+    sink = Collects()
+    sink.hold.clear()
+    with Outlet(sink, spool=tmp_path / "spool", retry_s=QUICK) as outlet:
+        spool = outlet._waiting
+        assert isinstance(spool, Spool)
+        disk = spool._file.db
+        (pages,) = disk.execute("PRAGMA page_count").fetchone()
+        disk.execute(f"PRAGMA max_page_count = {pages + 3}")
+        for k in range(40):
+            outlet.put({**record(k), "text": "x" * 2_000})
+        full = outlet.status
+        disk.execute("PRAGMA max_page_count = 100000")
+        outlet.put(record(40))
+        sink.hold.set()
+    assert 0 < full.lost < 40 and "full" in full.error
+    lost = [each for each in sink.got if isinstance(each, dict)]
+    missing = [k for each in lost for k in range(each["first"], each["last"] + 1)]
+    assert sum(each["records"] for each in lost) == len(missing) == full.lost
+    arrived = [each for each in sink.got if not isinstance(each, dict)]
+    assert sorted({*arrived, *missing}) == list(range(41)) and 40 in arrived
