@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
+from concurrent.futures import Executor
+from contextlib import contextmanager
 from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -12,7 +15,7 @@ from evqr.cli import options
 from evqr.cli.options import backend_options, config_options, recording_options
 from evqr.cli.read import exit_status
 from evqr.cli.sources import STANDARD_INPUT, recordings_of
-from evqr.cli.workers import workers
+from evqr.cli.workers import prepare, workers
 from evqr.errors import UsageError
 from evqr.results import ReadStatus
 
@@ -76,8 +79,6 @@ def batch(
     with recordings_of(sources) as recordings, ReadingsDatabase(out, settings) as database:
         paths = list(dict.fromkeys(named.path for named in recordings if named.path != out))
         pending = database.pending(paths)
-        if pending:
-            options.prepare(backend, device)
         compute = {"config": config, "backend": backend, "device": device, "threads": threads, **opening}
         # disable=None: no bar where stderr is no terminal
         with tqdm(
@@ -85,7 +86,7 @@ def batch(
             disable=True if quiet else None,
         ) as bar:  # fmt: skip
             for path, result in read_archive(
-                pending, database, workers=partial(workers, jobs, dask), **compute
+                pending, database, workers=partial(_ready_workers, jobs, dask, backend, device), **compute
             ):
                 if result.status is ReadStatus.ERROR:
                     with bar.external_write_mode():
@@ -99,6 +100,15 @@ def batch(
         f" {count[ReadStatus.ERROR]} could not be read"
     )
     return exit_status(outcomes)
+
+
+@contextmanager
+def _ready_workers(jobs: int, dask: str | None, backend: str, device: str) -> Iterator[Executor | None]:
+    """Give what computes, with its kernels prepared; workers of a Dask scheduler load them."""
+    with workers(jobs, dask) as executor:
+        if dask is None:
+            prepare(executor, jobs, backend, device)
+        yield executor
 
 
 def _of(path: Path, reason: str) -> str:
