@@ -266,7 +266,7 @@ _CONFIG = {
         "--symbologies",
         type=SymbologiesType(),
         metavar="NAME,...",
-        help="Kinds of symbols to search for, as qr,rmqr,aztec; default: qr,microqr.",
+        help="Kinds of symbols to search for, as qr,datamatrix; default: qr,microqr.",
     ),
     "charset": click.option(
         "--charset",

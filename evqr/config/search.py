@@ -228,5 +228,5 @@ class EdgeConfig(Settings):
     most: Annotated[int, Range(least=1, most=256)] = 20
     min_match: NotNegative = 3.0
     tries: Annotated[int, Range(least=1, most=256)] = 32
-    min_score: Annotated[float, Range(least=-1.0, most=1.0)] = 0.5
-    failures: Annotated[int, Range(least=1, most=256)] = 4
+    min_score: Annotated[float, Range(least=-1.0, most=1.0)] = 0.52
+    failures: Annotated[int, Range(least=1, most=256)] = 3

@@ -556,7 +556,9 @@ def _candidates(
     for row in rows:
         count = len(row.hypotheses)
         if row.hypotheses.single:
-            some = _sizes_of(row.hypotheses, cfg.finder.single_candidates)
+            # with solid sides it was aligned with all that is known
+            aligned = row.hypotheses.space(0).anchors[0].kind is Landmark.SOLID_CORNER
+            some = _sizes_of(row.hypotheses, most if aligned else cfg.finder.single_candidates)
         else:
             some = sorted(islice(screened, count), key=lambda candidate: -candidate.score)[:most]
         found.append(some)
