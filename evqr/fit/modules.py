@@ -230,12 +230,24 @@ def _equations(
     spaces: Sequence[CodeSpace], stencil: NDArray[Any], rhs: NDArray[Any]
 ) -> list[NormalEquations]:
     """Give each code's, from arrays in which there is room for any of them."""
-    found = []
-    for k, space in enumerate(spaces):
-        around = 2 * quiet_modules(space)
-        own = rhs[k, : space.rows + around, : space.columns + around]
-        found.append(NormalEquations.trusted(space=space, stencil=stencil[k], rhs=own))
-    return found
+    return [
+        NormalEquations.trusted(space=space, stencil=own, rhs=seen)
+        for space, own, seen in zip(spaces, stencil, _parts(rhs, spaces, around=True), strict=True)
+    ]
+
+
+def _parts(room: NDArray[Any], spaces: Sequence[CodeSpace], *, around: bool) -> list[NDArray[Any]]:
+    """Give each code's part of arrays (N, V, U) in which any of them lies, with the quiet zone or without."""
+    first = spaces[0]
+    if all(space is first for space in spaces):  # most often, and then one slice does
+        return [*room[(slice(None), *_part(first, around))]]
+    return [room[(k, *_part(space, around))] for k, space in enumerate(spaces)]
+
+
+def _part(space: CodeSpace, around: bool) -> tuple[slice, slice]:
+    quiet = quiet_modules(space)
+    begin, end = (0, 2 * quiet) if around else (quiet, quiet)
+    return slice(begin, space.rows + end), slice(begin, space.columns + end)
 
 
 class Windows(NamedTuple):
@@ -281,7 +293,7 @@ class Solution(Step):
         self._windows = added.windows if added else _no_windows(count, room, workspace)
         self._least = staging.input((count,))
         self._before = staging.input((count, *room)), staging.input((count, reach, reach))
-        self._filled: list[tuple[int, int]] = [(0, 0)] * count  # rows and columns that were written
+        self._filled: list[tuple[int, ...]] = [(0, 0)] * count  # rows and columns that were written
         self._scratch = workspace.scratch("solve_code", B=count, V=room[0], U=room[1])
         self._sum = staging.output((count, *room)), staging.output((count, reach, reach))
         self._peak = staging.output((count,))
@@ -306,6 +318,7 @@ class Solution(Step):
             self._number.fill(numbers)
         rhs, stencil = (mirror.host for mirror in self._before)
         scores = [np.inf] * len(self._filled)
+        seen: dict[tuple[int, ...], list[int]] = {}
         for k, each in enumerate(before):
             if each is not None:
                 scores[k] = least[k] if least else 0.0
@@ -314,9 +327,12 @@ class Solution(Step):
                 rhs[k] = stencil[k] = 0.0
                 self._filled[k] = size
             if each is not None and size[0]:
-                weight = weights[k] if weights else 1.0
-                np.multiply(each.rhs, weight, out=rhs[k, : size[0], : size[1]], casting="same_kind")
-                np.multiply(each.stencil, weight, out=stencil[k], casting="same_kind")
+                seen.setdefault(size, []).append(k)
+        for (rows, columns), places in seen.items():
+            them = [each for each in map(before.__getitem__, places) if each is not None]
+            weight = np.array([weights[k] for k in places])[:, None, None] if weights else np.float32(1.0)
+            rhs[places, :rows, :columns] = weight * np.stack([each.rhs for each in them])
+            stencil[places] = weight * np.stack([each.stencil for each in them])
         self._least.write(scores)
 
     def launch(self) -> None:
@@ -346,12 +362,12 @@ class Solution(Step):
         count = len(spaces)
         peak = self._peak.read()[:count, None, None]
         rhs, stencil = (closed(peak * mirror.read()[:count]) for mirror in self._sum)
-        found = []
-        for k, equations in enumerate(_equations(spaces, stencil, rhs)):
-            quiet, space = quiet_modules(equations.space), equations.space
-            inner = q[k, quiet : quiet + space.rows, quiet : quiet + space.columns]
-            found.append(CodeEstimate.trusted(q=inner, iterations=iterations[k], equations=equations))
-        return found
+        return [
+            CodeEstimate.trusted(q=inner, iterations=taken, equations=equations)
+            for inner, taken, equations in zip(
+                _parts(q, spaces, around=False), iterations, _equations(spaces, stencil, rhs), strict=False
+            )
+        ]
 
     def fused(self, spaces: Sequence[CodeSpace]) -> list[Fused]:
         """Wait for the device and give the sums, too."""
