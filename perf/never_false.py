@@ -40,7 +40,7 @@ from evqr.simulate.config import PRESETS, CodePlacement
 from evqr.simulate.printed import PrintedSymbol, make_symbol
 from evqr.simulate.shuffle import shuffled
 from evqr.symbol.symbols import SYMBOLS
-from evqr.symbology import SEARCHED, Symbology
+from evqr.symbology import Symbology
 
 WIDTH, HEIGHT = 320, 240
 WINDOWS = 10
@@ -347,7 +347,7 @@ def main() -> int:
     symbologies = None
     if arguments.symbologies:
         named = arguments.symbologies
-        symbologies = SEARCHED if named == "all" else tuple(map(Symbology.parse, named.split(",")))
+        symbologies = tuple(SYMBOLS) if named == "all" else tuple(map(Symbology.parse, named.split(",")))
     outcomes = []
     if arguments.log is not None and arguments.log.exists():
         lines = arguments.log.read_text().splitlines()

@@ -31,6 +31,12 @@ code or a Data Matrix symbol has."""
 _MANY_CHECK = 100
 """Check words from which on tries get fewer."""
 
+_SURELY_LARGER = 16
+"""Bits of further check words that are no coincidence."""
+
+_FORMAT_WRONG = 2
+"""Modules of format information that may be wrong where a single further check word may be a coincidence."""
+
 _TINY = float(np.finfo(np.float64).tiny)
 
 
@@ -145,7 +151,7 @@ def correct_block(
         # nothing is wrong: each module that says anything is a coin that agrees, whatever its strength
         coins = int(np.count_nonzero(soft) + (0 if beside is None else np.count_nonzero(beside)))
         chance = log_contents(received) - math.log(2.0) * coins
-        if chance <= log_limit:
+        if chance <= log_limit and not _is_of_larger_code(received, code, beside):
             return Corrected(
                 words=received, changed=0, erased=0, spare=code.n_check, unused=1.0, log_chance=chance
             )
@@ -166,6 +172,9 @@ def correct_block(
         bits = bits_of(words, code)
         if printed is not None and bits[~printed].any():
             continue
+        if _is_of_larger_code(words, code, beside):
+            detail = f"more of {len(received)} codewords are check codewords than {code.n_check}"
+            return Doubt(reason=Reason.POSSIBLY_CHANCE, detail=detail)
         agreement = np.where(ones == bits, weights, -weights)
         if others is not None:
             agreement = np.concatenate([agreement, others])
@@ -189,6 +198,18 @@ def correct_block(
         return Doubt(reason=Reason.POSSIBLY_CHANCE, detail=detail)
     detail = f"too many of {len(received)} codewords wrong for {code.n_check} check codewords"
     return Doubt(reason=Reason.TOO_MANY_ERRORS, detail=detail)
+
+
+def _is_of_larger_code(words: Symbols, code: ReedSolomon, beside: NDArray[np.float64] | None) -> bool:
+    """Tell whether more words are check words than the format information says: it was misread.
+
+    A word of a code is also one of each smaller code, whose roots are some of its own, and it would be read
+    with its check words as data.
+    """
+    further = code.further_roots(words) if words.any() else 0
+    if further * code.width >= _SURELY_LARGER:
+        return True
+    return further > 0 and beside is not None and int((beside < 0.0).sum()) > _FORMAT_WRONG
 
 
 def _mean(strength: NDArray[np.float64]) -> float:

@@ -25,6 +25,9 @@ from numpy.typing import NDArray
 Symbols = NDArray[np.unsignedinteger]
 """A word or a part of one: uint8 up to GF(256), uint16 above."""
 
+_FURTHER = 3
+"""Check symbols behind those of a code that are looked for."""
+
 
 @dataclass(frozen=True, eq=False, kw_only=True)
 class GaloisField:
@@ -172,6 +175,24 @@ class ReedSolomon:
         logs = field.log.take(word)[..., None, :]
         return np.bitwise_xor.reduce(field.power.take(logs + exponents), axis=-1)
 
+    def further_roots(self, word: Symbols) -> int:
+        """Tell how many further check symbols a valid word has, 0 to 3: it is one of a larger code then.
+
+        Parameters
+        ----------
+        word : (n,) uint8 or uint16
+            A valid word.
+
+        Returns
+        -------
+        count : int
+            Syndromes that are zero, one after another, behind those of this code.
+        """
+        if len(word) <= _FURTHER:
+            return 0
+        further = _further(self).syndromes(word).tolist()
+        return next((k for k, each in enumerate(further) if each), _FURTHER)
+
     def correct(
         self, word: Symbols, erased: Sequence[int] = (), *, syndromes: Symbols | None = None
     ) -> Symbols | None:
@@ -235,6 +256,13 @@ class ReedSolomon:
         corrected = word.copy()
         corrected[list(wrong)] ^= field.power.take(field.log.take(values) + (-divisor) % field.order)
         return corrected
+
+
+@functools.lru_cache(maxsize=256)
+def _further(code: ReedSolomon) -> ReedSolomon:
+    """Return the code of the roots behind those of another."""
+    first = (code.first_root + code.n_check) % code.field.order
+    return ReedSolomon(polynomial=code.polynomial, n_check=_FURTHER, first_root=first)
 
 
 @functools.lru_cache(maxsize=64)

@@ -180,3 +180,17 @@ def test_compact_and_full_range_are_told_apart():
         assert SIZES[one] == SIZES[other]
         assert isinstance(decode(make("4096", one), other, effort="full"), DecodeFailure)
         assert isinstance(decode(make("4096", other), one, effort="full"), DecodeFailure)
+
+
+@pytest.mark.parametrize("version", ["C2", "F2", "F5"])
+def test_check_words_are_not_read_as_data(version):
+    """A mode message that says more data than there is leaves a valid word, of a smaller code: not a text."""
+    grid = make("1234", version)
+    true = modes_of(version)
+    right = int((grid.ravel()[true.at] * true.signs).sum(axis=1).argmax())
+    for wrong in (right + 2, right + 5):
+        q = grid.astype(float)
+        q.ravel()[true.at] = true.signs[wrong]
+        q.ravel()[true.at[[1, 11, 21]]] *= -0.5  # misread, it has modules of its own that are wrong
+        result = decode_grid(q, aztec.space(version), effort="full")
+        assert isinstance(result, DecodeFailure) or result.text == "1234"

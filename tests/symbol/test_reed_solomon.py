@@ -202,3 +202,15 @@ def test_words_of_a_length_that_the_code_has_not(n):
     code = ReedSolomon(polynomial=0x13, n_check=2)
     with pytest.raises(ValueError, match=f"a word must have 3 to 15 symbols, got {n}"):
         code.correct(np.ones(n, np.uint8))
+
+
+def test_words_of_larger_codes_are_known():
+    """A word is also one of each smaller code; how many further check words it has is said up to three."""
+    rng = np.random.default_rng(5)
+    for polynomial, first in ((0x11D, 0), (0x43, 1), (0x12D, 1)):
+        small = ReedSolomon(polynomial=polynomial, n_check=7, first_root=first)
+        for more in (0, 1, 2, 5):
+            large = ReedSolomon(polynomial=polynomial, n_check=7 + more, first_root=first)
+            word = large.encode(rng.integers(0, 64, 20, dtype=np.uint8))
+            assert not small.syndromes(word).any()
+            assert small.further_roots(word) == min(more, 3)
