@@ -131,7 +131,7 @@ def main() -> int:
         if one["wrong"]:
             tqdm.write(f"WRONG {one}", file=sys.stdout)
         if arguments.log is not None:
-            with arguments.log.open("a") as log:
+            with open(arguments.log, "a", encoding="utf-8") as log:
                 log.write(json.dumps(one) + "\n")
     print(
         "| symbology | symbols | grids | read rightly | refused | wrong texts | "

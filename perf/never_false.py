@@ -369,7 +369,7 @@ def main() -> int:
             if outcome["false"]:
                 tqdm.write(f"FALSE {outcome}", file=sys.stdout)
             if arguments.log is not None:
-                with arguments.log.open("a") as log:
+                with open(arguments.log, "a", encoding="utf-8") as log:
                     log.write(json.dumps(outcome) + "\n")
         pool.shutdown(cancel_futures=True)
     bar.close()
