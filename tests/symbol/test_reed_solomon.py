@@ -213,4 +213,5 @@ def test_words_of_larger_codes_are_known():
             large = ReedSolomon(polynomial=polynomial, n_check=7 + more, first_root=first)
             word = large.encode(rng.integers(0, 64, 20, dtype=np.uint8))
             assert not small.syndromes(word).any()
-            assert small.further_roots(word) == min(more, 3)
+            assert small.further_roots(word) >= min(more, 3)
+            assert more or small.further_roots(word) < 3
