@@ -32,6 +32,7 @@ from evqr.search.motion_estimate import (
     estimate_motions,
     find_motion,
 )
+from evqr.symbology import Symbology
 from evqr.values import FrozenDict
 from evqr.workspace import Workspace
 
@@ -158,6 +159,7 @@ class Solver:
         motions: Sequence[Motion],
         *,
         tau_us: Sequence[tuple[float, float] | None] | None = None,
+        symbologies: tuple[Symbology, ...] | None = None,
     ) -> list[tuple[Detection, ...] | NotFound]:
         """Find all codes of windows from cold.
 
@@ -170,6 +172,8 @@ class Solver:
         tau_us : sequence of (float, float) or None [us]
             Time constants of the pixels, a window, known from earlier ones; None: estimated, if not
             configured.
+        symbologies : tuple of Symbology, optional
+            Kinds that are searched for; None: those configured.
 
         Returns
         -------
@@ -178,6 +182,8 @@ class Solver:
             timings, the first of its codes all of it.  It does not depend on the other windows.
         """
         cfg, clock = self.config, StageClock()
+        if symbologies is not None and symbologies != cfg.symbologies:
+            cfg = replace(cfg, symbologies=symbologies)
         known = [cfg.lag_us or tau for tau in tau_us or [None] * len(batch)]
         tried = [headings(*each, cfg.finder) for each in zip(batch.windows, motions, strict=True)]
         best: list[tuple[Detection, ...] | NotFound] = [NotFound(Reason.NOTHING_MOVES)] * len(batch)

@@ -52,5 +52,9 @@ class Symbology(str, Enum):
             raise ValueError(f"symbology must be one of {', '.join(cls)}, got {name!r}") from None
 
 
+BY_THREE_PATTERNS = frozenset({Symbology.QR_CODE, Symbology.MICRO_QR_CODE})
+"""Kinds found by three finder patterns, and those whose search costs next to nothing beside that."""
+
+
 def _plain(name: str) -> str:
     return "".join(filter(str.isalnum, name.lower())).removesuffix("code")

@@ -29,6 +29,7 @@ from evqr.solver import Solver, timed
 from evqr.symbol.decode import are_valid, decode_grid
 from evqr.symbol.decoded import Decoded, DecodeFailure, Effort
 from evqr.symbol.space import CodeSpace
+from evqr.symbology import Symbology
 
 T = TypeVar("T")
 
@@ -62,11 +63,14 @@ class Find(NamedTuple):
         Of the codes.
     tau_us : (float, float), optional [us]
         As of `Solver.find`.
+    symbologies : tuple of Symbology, optional
+        As of `Solver.find`.
     """
 
     window: Window
     motion: Motion
     tau_us: tuple[float, float] | None = None
+    symbologies: tuple[Symbology, ...] | None = None
 
 
 class Follow(NamedTuple):
@@ -326,9 +330,7 @@ def do(works: list[Any], solver: Solver, pool: Executor | None = None) -> list[A
     if kind is Estimate:
         return _estimated(works, solver)
     if kind is Find:
-        batch = EventBatch.of([work.window for work in works])
-        taus = [work.tau_us for work in works]
-        return list(solver.find(batch, [work.motion for work in works], tau_us=taus))
+        return _found(works, solver)
     if kind is Follow:
         batch = EventBatch.of([work.window for work in works])
         detections, before = [work.detection for work in works], [work.before for work in works]
@@ -357,6 +359,23 @@ def _estimated(works: list[Estimate], solver: Solver) -> list[MotionEstimate | N
         estimates = solver.motions(windows, reduction=reduction, thorough=thorough)
         for k, estimate in zip(rows, estimates, strict=True):
             found[k] = estimate
+    return found
+
+
+def _found(works: list[Find], solver: Solver) -> list[tuple[Detection, ...] | NotFound]:
+    """Find codes, those of the same kinds at once."""
+    found: list[Any] = [None] * len(works)
+    kinds: dict[tuple[Symbology, ...] | None, list[int]] = {}
+    for k, work in enumerate(works):
+        kinds.setdefault(work.symbologies, []).append(k)
+    for symbologies, rows in kinds.items():
+        asked = [works[k] for k in rows]
+        batch, taus = EventBatch.of([work.window for work in asked]), [work.tau_us for work in asked]
+        motions = [work.motion for work in asked]
+        for k, codes in zip(
+            rows, solver.find(batch, motions, tau_us=taus, symbologies=symbologies), strict=True
+        ):
+            found[k] = codes
     return found
 
 

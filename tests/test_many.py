@@ -219,9 +219,9 @@ def test_recordings_side_by_side_are_what_each_is_alone(three_at_once, monkeypat
 def test_recordings_side_by_side_share_their_batches(three_at_once, monkeypatch):
     followed, follow = [], Solver.follow
 
-    def counting(self, batch, detections):
+    def counting(self, batch, detections, before=()):
         followed.append(len(batch))
-        return follow(self, batch, detections)
+        return follow(self, batch, detections, before)
 
     monkeypatch.setattr(Solver, "follow", counting)
     events = scene().events

@@ -266,7 +266,7 @@ _CONFIG = {
         "--symbologies",
         type=SymbologiesType(),
         metavar="NAME,...",
-        help="Kinds of symbols to search for, as qr,datamatrix; default: qr,microqr.",
+        help="Kinds of symbols to search for, as qr,datamatrix; default: all.",
     ),
     "charset": click.option(
         "--charset",

@@ -43,8 +43,8 @@ class ReadConfig(Settings):
     lag_us : tuple of 2 floats [us], optional
         Time constants of the pixels for ON and for OFF events. Default: estimated.
     symbologies : tuple of Symbology
-        Kinds of symbols that are searched for. Default: those whose search costs next to nothing beside that
-        for QR codes.
+        Kinds of symbols that are searched for, those with three finder patterns first, the others where none
+        of these is found. Default: all; to leave some out costs less where there is no code.
     vote : Vote
         How windows are combined. Measured: INFORMATION leaves the fewest modules wrong
         (tests/solver/test_vote.py).
@@ -78,7 +78,7 @@ class ReadConfig(Settings):
     travel_px: Annotated[float, Range(least=0.2, most=50.0)] = 2.0
     max_windows: Count | None = None
     lag_us: tuple[Lag, Lag] | None = None
-    symbologies: Annotated[tuple[Symbology, ...], NotEmpty] = (Symbology.QR_CODE, Symbology.MICRO_QR_CODE)
+    symbologies: Annotated[tuple[Symbology, ...], NotEmpty] = tuple(Symbology)
     vote: Vote = Vote.INFORMATION
     search_px: Annotated[float, Range(least=0.2, most=1000.0)] = 10.0
     follow_px: Annotated[float, Range(least=0.2, most=1000.0)] = 8.0

@@ -23,6 +23,10 @@ class SchedulerConfig(Settings):
     most_seldom : float
         How much less often is searched at most: half as often after each search in which something moved and
         no code was found. Chosen: a code that enters the image is found within 40 px.
+    every_kind : int
+        Of so many searches in a row in which something moves and no code is found, one is for all kinds of
+        symbols that are asked for, the others for QR and Micro QR codes. Chosen: a search for all takes
+        several times as long where there is no code.
     codes_a_search : int
         Codes that one search finds at most. Chosen.
     margin_modules : float [modules]
@@ -49,6 +53,7 @@ class SchedulerConfig(Settings):
     longest_us: Count = 20_000
     seldom: Annotated[float, Range(least=1.0)] = 2.0
     most_seldom: Annotated[float, Range(least=1.0)] = 4.0
+    every_kind: Count = 2
     codes_a_search: Count = 16
     margin_modules: NotNegative = 4.0
     same_place: Positive = 0.5

@@ -457,26 +457,29 @@ def _try(
     codes = _as_shown(picked.pick([k for k, _, _ in good]), codes, cfg, workspace, clock)
     confirmed = _confirmed(codes, cfg, workspace, clock)
     for (_, window, _), code, sure in zip(good, codes, confirmed, strict=True):
-        if not sure:
-            window.unconfirmed(code)
-            continue
-        unread = code.space.version in SYMBOLS[code.space.symbology].cores
-        if unread or (code.space.single_pattern and code.score < one.single_score):
+        if _is_core(code) or (code.space.single_pattern and code.score < one.single_score):
             window.failed(code.score, code.target)
-        else:
+        elif sure:
             window.found(code)
+        else:
+            window.unconfirmed(code)
+
+
+def _is_core(code: Detection) -> bool:
+    """Whether only the middle of a code is known, for what it says of the rest was not read."""
+    return code.space.version in SYMBOLS[code.space.symbology].cores
 
 
 def _confirmed(
     codes: list[Detection], cfg: ReadConfig, workspace: Workspace, clock: StageClock
 ) -> list[bool]:
-    """Tell whether codes are what they are taken for: those with solid sides, where they can be read.
+    """Tell whether codes are what they are taken for: those without a finder pattern, where they can be read.
 
     Many things have straight edges, and the quiet zone of a symbol on a label looks like the light sides of a
-    larger, inverted one.
+    larger, inverted one; around the middle of a finder pattern known modules of an Aztec code are few.
     """
-    sure = [code.space.anchors[0].kind is not Landmark.SOLID_CORNER for code in codes]
-    asked = [k for k, one in enumerate(sure) if not one]
+    sure = [code.space.anchors[0].kind is Landmark.FINDER_PATTERN for code in codes]
+    asked = [k for k, one in enumerate(sure) if not (one or _is_core(codes[k]))]
     if asked:
         with clock("stage_two"):
             weights = [weight_of(codes[k].noise) for k in asked]

@@ -37,6 +37,7 @@ from evqr.stream.moving import Moving
 from evqr.stream.records import CodeAgain, CodeLeft, CodeRead, CodeUnread, Searched, StreamRecord
 from evqr.stream.track import Track
 from evqr.stream.unread import UnreadCodes
+from evqr.symbology import BY_THREE_PATTERNS, Symbology
 from evqr.work import Activity, Estimate, Find, Follow, Working, answer, together, with_windows
 
 FOLLOW, SEARCH = range(2)
@@ -402,7 +403,7 @@ class StreamScheduler:
             tried = yield from self._try(at_us)
             return [tried]
         step = self._step_us(self._motion)
-        asking = [self._try(at_us + k * step, ahead=True) for k in range(len(self._solvers))]
+        asking = [self._try(at_us + k * step, ahead=k) for k in range(len(self._solvers))]
         # none of them asks for more, so each may run to its end
         most = max(self._config.motion.longest_us, self._config.window_us or 0)
         yield at_us, at_us + (len(asking) - 1) * step + most
@@ -418,13 +419,20 @@ class StreamScheduler:
         step = max(self._solver.window_us(motion), round(motion.travel_time_us(travel)))
         return min(step, cfg.longest_us)
 
-    def _try(self, at_us: int, *, ahead: bool = False) -> Activity[_Try]:
-        """Search once; may run on any thread where it is ``ahead``, and changes nothing here then."""
+    def _kinds(self, vain: int) -> tuple[Symbology, ...]:
+        """Give the kinds of symbols that are searched for after so many searches in vain."""
+        asked, every = self._config.symbologies, self._config.scheduler.every_kind
+        first = tuple(kind for kind in asked if kind in BY_THREE_PATTERNS)
+        return first if first and vain % every != every - 1 else asked
+
+    def _try(self, at_us: int, *, ahead: int | None = None) -> Activity[_Try]:
+        """Search once; may run on any thread where it is so many ``ahead``, and changes nothing here then."""
         clock, solver = StageClock(), self._solver
-        moving, start_us, known_us = yield from self._moving.at(at_us, self._motion, ahead=ahead)
+        off = ahead is not None
+        moving, start_us, known_us = yield from self._moving.at(at_us, self._motion, ahead=off)
         clock.add(moving.timings_ms)
         if isinstance(moving, NotFound) and self._motion is not None:
-            moving, start_us, known_us = yield from self._moving.at(at_us, None, ahead=ahead)
+            moving, start_us, known_us = yield from self._moving.at(at_us, None, ahead=off)
             clock.add(moving.timings_ms)
         if isinstance(moving, NotFound):
             return _Try(at_us, None, None, replace(moving, timings_ms=clock.ms))
@@ -434,7 +442,8 @@ class StreamScheduler:
         if not self._events.reaches(end_us):
             ends = NotFound(Reason.RECORDING_ENDS, closest=-1.0, timings_ms=clock.ms)
             return _Try(at_us, motion, None, ends)
-        (found,) = yield [Find(self._outside_tracks(window), motion, self._tau_us)]
+        kinds = self._kinds(self._vain + (ahead or 0))
+        (found,) = yield [Find(self._outside_tracks(window), motion, self._tau_us, kinds)]
         if isinstance(found, NotFound):
             clock.add(found.timings_ms)
             return _Try(at_us, motion, window, replace(found, timings_ms=clock.ms))

@@ -205,9 +205,12 @@ class Track:
 
     @property
     def _agrees_well(self) -> bool:
-        """Whether it agrees so well with its known modules that it is worth while to try hard."""
+        """Whether it agrees so well with its known modules that it is worth while to try hard.
+
+        Only three finder patterns say so much: straight edges, or one pattern, are soon found by chance.
+        """
         good = self.detection.score >= self._solver.config.align.good_score
-        return good and not self.detection.space.single_pattern
+        return good and len(self.detection.space.anchors) > 1
 
     def _decode(self) -> Working[None]:
         """Add the newest window, and decode the sum of all; else what agrees with it, and it alone."""

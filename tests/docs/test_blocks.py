@@ -41,8 +41,9 @@ ELSEWHERE = (
     re.compile(r'(\.venv/bin/)?pip install (-e )?"(evqr|\.)(\[[\w,]+\])?"'),
     re.compile(r"\.venv/bin/evqr demo"),
     re.compile(r"podman .*"),
+    re.compile(r"(python (perf/|-m evqr_kernels\.export )|nsys |ncu |perf |py-spy ).*"),
 )
-"""Lines that install, or run what was installed or built: `.ci/run` does that."""
+"""Lines that install, or run what was installed or built (`.ci/run` does that), and profilers."""
 
 
 def blocks_of(page):

@@ -11,6 +11,8 @@ import evqr_kernels
 PACKAGE = Path(evqr_kernels.__file__).parent
 FILES = sorted(PACKAGE.glob("*_backend/*.py"))
 MOST_PARAMETERS = 14
+LONGER = {"align_poses": 15, "sum_equations": 24}
+"""Kernels with more: one reads a part of an image, the other adds all arrays of two systems."""
 MOST_LINES = 600
 
 
@@ -52,7 +54,7 @@ def test_kernel_signature(kernel):
     assert not arguments.defaults and not arguments.kw_defaults, "no defaults"
     assert not arguments.vararg and not arguments.kwarg and not arguments.kwonlyargs
     assert all(argument.annotation for argument in arguments.args), "every parameter is typed"
-    assert len(arguments.args) <= MOST_PARAMETERS
+    assert len(arguments.args) <= LONGER.get(kernel.name, MOST_PARAMETERS)
     is_output = [argument.arg.endswith(("_out", "_inout")) for argument in arguments.args]
     assert any(is_output), "an output ends in _out or _inout"
 

@@ -4,15 +4,17 @@ import numpy as np
 import pytest
 from scenes import at, corners, middle_us, motion_at, scene, window_of
 
-from evqr.config import AlignConfig, FinderConfig, ReadConfig
+from evqr.config import AlignConfig, FinderConfig
 from evqr.events.batch import EventBatch
 from evqr.search.finder import find_patterns
 from evqr.search.models import kinds_of, sizes
 from evqr.search.score import score
 from evqr.search.singles import QUARTERS, SHIFTS, codes_of_singles
 from evqr.simulate import CodePlacement
+from evqr.symbology import Symbology
 
-ALIGN, FINDER, SYMBOLOGIES = AlignConfig(), FinderConfig(), ReadConfig().symbologies
+ALIGN, FINDER = AlignConfig(), FinderConfig()
+SYMBOLOGIES = (Symbology.QR_CODE, Symbology.MICRO_QR_CODE)  # without heads
 TEXTS = {"M1": "40961", "M2": "DEV-55", "M3": "EVQR-07", "M4": "HELLO-EVQR-7"}
 
 

@@ -14,6 +14,7 @@ from evqr.events.packed import PackedEvents
 from evqr.events.window import make_window
 from evqr.fit.detection import NotFound
 from evqr.solver import Solver
+from evqr.symbology import Symbology
 from evqr.workspace import Staging, Workspace
 from evqr_kernels import register_backend, registry
 
@@ -29,7 +30,8 @@ def counting_over_warp(monkeypatch):
     monkeypatch.setattr(registry, "_targets", dict(registry._targets))
     monkeypatch.setattr(registry, "_loaded", dict(registry._loaded))
     register_backend("counting", "counting:load_over_warp")
-    return Solver(backend="counting")
+    kinds = (Symbology.QR_CODE, Symbology.MICRO_QR_CODE)  # what the counts below are of
+    return Solver(ReadConfig(symbologies=kinds), backend="counting")
 
 
 def found_and_followed(solver):
@@ -44,7 +46,7 @@ def found_and_followed(solver):
 
 def test_nothing_lives_on_memory_that_the_host_shares(counting_over_warp):
     """A window from cold and one that is followed: the same as where arrays are the host's."""
-    solver = Solver(backend="warp")
+    solver = Solver(counting_over_warp.config, backend="warp")
     solver.workspace.shared = False  # what a device is asked at once
     one, other = found_and_followed(counting_over_warp), found_and_followed(solver)
     for ours, theirs in zip(one[:2], other[:2], strict=True):

@@ -155,7 +155,7 @@ def test_results_say_how_long_their_stages_took(solver):
     followed = follow(solver, window_of(made, middle=1000), found)
     assert set(moving.timings_ms) - {"one_time"} == {"motion"}
     assert {"finder", "pose", "stage_one"} <= set(found.timings_ms)
-    assert set(nothing.timings_ms) - {"one_time"} == {"finder"}
+    assert {"finder"} <= set(nothing.timings_ms) - {"one_time"} <= {"finder", "pose"}
     assert set(followed.timings_ms) - {"one_time"} == {"stage_one"}
     kept = dict(found.timings_ms)
     find(solver, window, moving.motion)
