@@ -108,7 +108,7 @@ def _adjoints(rule: Rule, arrays: tuple[jax.Array, ...], adj: jax.Array) -> tupl
     scratch = rule.adjoint_scratch(sizes, _tile(rule.adjoint_operation.name))
     ranks = _ranks([*sizes.values()]), adj.ndim, _ranks(outputs), _ranks(scratch)
     call = _adjoint(rule, str(adj.dtype), *ranks)
-    results = _once(call, (*outputs, *scratch), rule.op, *arrays, adj)
+    results: Any = _once(call, (*outputs, *scratch), rule.op, *arrays, adj)
     found = dict(zip(rule.varied, results, strict=False)) | dict.fromkeys(rule.added, adj)
 
     def of(name: str, array: jax.Array) -> Any:

@@ -22,7 +22,7 @@ import time
 import cases
 import limits
 import ops
-import profiling
+import profilers
 from problems import Prepared, Size
 
 PLAIN = cases.SIZES["production"]
@@ -42,11 +42,11 @@ def measured(op: str, size: Size, options: argparse.Namespace) -> dict[str, obje
         prepared()
     prepared.wait()
     times, busy = [], []
-    with profiling.profiled(options.device):
+    with profilers.profiled(options.device):
         for k in range(options.launches):
             began = time.process_time()
-            with profiling.range_of(f"{op} {k}"):
-                times.append(profiling.seconds(prepared, prepared.wait, options.device, options.backend))
+            with profilers.range_of(f"{op} {k}"):
+                times.append(profilers.seconds(prepared, prepared.wait, options.device, options.backend))
             busy.append(time.process_time() - began)
     median = statistics.median(times)
     moved = problem.bytes / median
@@ -65,8 +65,8 @@ def measured(op: str, size: Size, options: argparse.Namespace) -> dict[str, obje
         f"million_{problem.unit}s_a_second": round(problem.items / median / 1e6, 2),
         "megabytes": round(problem.bytes / 1e6, 3),
         "million_multiply_adds": round(problem.madds / 1e6, 3),
-        "share_of_copy": round(moved / profiling.copy_rate(problem.bytes, options.device), 3),
-        "memory_megabytes": round(profiling.used_bytes(options.device) / 1e6, 1),
+        "share_of_copy": round(moved / profilers.copy_rate(problem.bytes, options.device), 3),
+        "memory_megabytes": round(profilers.used_bytes(options.device) / 1e6, 1),
     }
     if options.device == "cpu":
         rate = problem.madds / median / limits.madd_rate(options.dtype)
@@ -84,15 +84,15 @@ def main() -> int:
     parser.add_argument("--side", type=int, default=PLAIN["side"], help="of the image [px]")
     parser.add_argument("--dtype", choices=("float32", "float64"), default="float32")
     parser.add_argument("--graph", action="store_true", help="record the launches, and replay them")
-    profiling.add_options(parser)
+    profilers.add_options(parser)
     options = parser.parse_args()
-    profiling.require(options.backend, options.device)
+    profilers.require(options.backend, options.device)
     rows = []
-    for windows in profiling.batches(options.windows):
+    for windows in profilers.batches(options.windows):
         size = Size(windows, options.events, options.side, PLAIN["modules"])
         rows.append(measured(options.op, size, options))
         print(", ".join(f"{name} {value}" for name, value in rows[-1].items()), flush=True)
-    profiling.write(f"kernel-{options.op}", options.device, rows, options.out)
+    profilers.write(f"kernel-{options.op}", options.device, rows, options.out)
     return 0
 
 

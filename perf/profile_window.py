@@ -23,7 +23,7 @@ from typing import Any
 
 import counting
 import pipeline
-import profiling
+import profilers
 
 from evqr.events.batch import EventBatch
 from evqr.fit.detection import NotFound
@@ -53,10 +53,10 @@ def measured(way: str, windows: int, solver: Solver, options: argparse.Namespace
     for _ in range(options.warm_ups):
         run()
     times, busy = [], []
-    with profiling.profiled(options.device):
+    with profilers.profiled(options.device):
         for k in range(options.launches):
             begin, began = time.perf_counter(), time.process_time()
-            with profiling.range_of(f"{way} {k}"):
+            with profilers.range_of(f"{way} {k}"):
                 run()
             times.append(time.perf_counter() - begin)
             busy.append(time.process_time() - began)
@@ -71,7 +71,7 @@ def measured(way: str, windows: int, solver: Solver, options: argparse.Namespace
         "median_ms": round(1e3 * median, 3),
         "host_ms": round(1e3 * statistics.median(busy), 3),
         "windows_a_second": round(windows / median, 1),
-        "memory_megabytes": round(profiling.used_bytes(options.device) / 1e6, 1),
+        "memory_megabytes": round(profilers.used_bytes(options.device) / 1e6, 1),
     }
 
 
@@ -81,19 +81,19 @@ def main() -> int:
         description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
     )
     parser.add_argument("--ways", default="cold,tracked", help="some of cold and tracked, with a comma")
-    profiling.add_options(parser)
+    profilers.add_options(parser)
     options = parser.parse_args()
-    profiling.require(options.backend, options.device)
+    profilers.require(options.backend, options.device)
     ways = options.ways.split(",")
     if not set(ways) <= set(WAYS):
         sys.exit(f"--ways must be some of {', '.join(WAYS)}, got {options.ways}")
     solver = Solver(backend=options.backend, device=options.device)
     rows = []
     for way in ways:
-        for windows in profiling.batches(options.windows):
+        for windows in profilers.batches(options.windows):
             rows.append(measured(way, windows, solver, options))
             print(", ".join(f"{name} {value}" for name, value in rows[-1].items()), flush=True)
-    profiling.write("window", options.device, rows, options.out)
+    profilers.write("window", options.device, rows, options.out)
     return 0
 
 
