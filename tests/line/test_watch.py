@@ -116,7 +116,7 @@ def test_events_and_triggers_over_a_connection(capsys, events):
     [
         (["x.h5", "--pulse-us", 1, 2], "--pulse-us says what pulses ask for: name them with --trigger"),
         (["tcp://a:1", "--speed", 2], "--speed is for recordings"),
-        (["camera", "--repeat"], "--repeat is for recordings"),
+        (["tcp://a:1", "--repeat"], "--repeat is for recordings"),
         (["missing.h5"], "missing.h5"),
         (["x.h5", "--trigger", "missing.csv"], "missing.csv: cannot be read"),
     ],
