@@ -248,7 +248,7 @@ class ModuleTables(Tables):
         quiet = quiet_modules(space)
         free, start = fixed(space)
         rows, columns = free.shape
-        self._grow(M=number + 1, side=max(rows, columns))
+        self._grow(M=number + 1, side=max(room_for([space])))  # what is solved takes that much of `start`
         host = {name: mirror.host for name, mirror in self._mirrors.items()}
         across, down = lattices(space, self._samples)
         host["lattice_u"][number, : len(across)] = across
