@@ -43,10 +43,11 @@ def make_measure_rows(dtype: type) -> wp.Kernel:
             for p in range(SPAN):
                 counts[p] += wp.where(values[p] != dtype(0.0), 1, 0)
         # in the same order as if zeros followed: what an image is a part of makes no difference
-        for x in range(whole, width):
-            value = image[b, y, x]
-            totals[x - whole] = totals[x - whole] + wp.abs(value)
-            counts[x - whole] = counts[x - whole] + wp.where(value != dtype(0.0), 1, 0)
+        for p in range(SPAN):
+            if whole + p < width:
+                value = image[b, y, whole + p]
+                totals[p] += wp.abs(value)
+                counts[p] += wp.where(value != dtype(0.0), 1, 0)
         total = dtype(0.0)
         count = wp.int32(0)
         for p in range(SPAN):
