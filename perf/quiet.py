@@ -13,6 +13,7 @@ import argparse
 import time
 
 import numpy as np
+from line_streams import HEIGHT, WIDTH, noise
 
 from evqr.events.array import EventArray
 from evqr.events.buffer import EventBuffer
@@ -20,20 +21,7 @@ from evqr.fit.detection import NotFound
 from evqr.solver import Solver
 from evqr.stream.scheduler import StreamScheduler
 
-WIDTH, HEIGHT = 640, 480
 SEARCHES = 20
-
-
-def noise(count: int, duration_us: int) -> EventArray:
-    rng = np.random.default_rng(0)
-    return EventArray(
-        np.sort(rng.integers(0, duration_us, count)),
-        rng.integers(0, WIDTH, count).astype(np.uint16),
-        rng.integers(0, HEIGHT, count).astype(np.uint16),
-        rng.choice(np.array([-1, 1], np.int8), count),
-        WIDTH,
-        HEIGHT,
-    )
 
 
 def time_stream(events: EventArray, solver: Solver) -> float:
@@ -68,7 +56,7 @@ def main() -> None:
     solver = Solver()
     print(f"{'Mev/s':>6} {'ns an event':>12} {'ms a search':>12} {'share of a core':>16}")
     for rate in arguments.rates:
-        events = noise(round(rate * 1e3 * arguments.ms), 1000 * arguments.ms)
+        events = noise(rate, 1000 * arguments.ms)
         time_stream(events, solver)
         stream = min(time_stream(events, solver) for _ in range(arguments.rounds))
         search = min(time_search(events, solver) for _ in range(arguments.rounds))

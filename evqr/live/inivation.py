@@ -76,11 +76,11 @@ def pieces_of(inputs: Sequence[Any], stopped: threading.Event) -> Iterator[Piece
     RecordingError
         There are no events.
     """
-    sizes = [each.getEventResolution() for each in inputs if each.isEventStreamAvailable()]
-    if not sizes or sizes[0] is None:
-        raise RecordingError("it has no events; choose the stream of a camera's events")
-    yield Sensor(int(sizes[0][0]), int(sizes[0][1]))
     with_events = [each for each in inputs if each.isEventStreamAvailable()]
+    size = with_events[0].getEventResolution() if with_events else None
+    if size is None:
+        raise RecordingError("it has no events; choose the stream of a camera's events")
+    yield Sensor(int(size[0]), int(size[1]))
     with_triggers = [each for each in inputs if each.isTriggerStreamAvailable()]
     quiet_since = time.monotonic()
     while not stopped.is_set():

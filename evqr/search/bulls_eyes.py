@@ -14,11 +14,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from evqr.config import AlignConfig
-from evqr.fit.align import align
 from evqr.geometry import compose
 from evqr.search.hypothesis import Hypotheses
 from evqr.search.models import sizes
 from evqr.search.pyramid import Pyramid
+from evqr.search.screen import aligned
 from evqr.search.singles import LEVELS
 from evqr.symbol.space import CodeSpace, Landmark
 from evqr.symbology import Symbology
@@ -97,12 +97,9 @@ def codes_of_bulls_eyes(
     pose[:, 0, 0], pose[:, 0, 1], pose[:, 1, 0], pose[:, 1, 1] = cos, -sin, sin, cos
     pose[:, 0, 2], pose[:, 1, 2] = x - 0.5 * SIDE * (cos - sin), y - 0.5 * SIDE * (sin + cos)
     pose[:, 2, 2] = 1.0
-    places = pyramid.places(window, pose, cfg.cells_a_module)
-    found = align(
-        pyramid.images, places.in_cells(pose), [_bulls_eye()] * len(peaks), LEVELS, cfg,
-        workspace=workspace, image_idx=places.image_idx, image_part=places.image_part,
-    )  # fmt: skip
-    poses = places.in_px(found.pose)
+    eyes = [_bulls_eye()] * len(peaks)
+    found = aligned(pyramid, window, pose, eyes, LEVELS, cfg, workspace=workspace)
+    poses = found.pose
     poses[:, 2, :2] = 0.0
     good = np.flatnonzero(found.score >= MIN_SCORE)
     size, turns = _symbols()
@@ -116,17 +113,13 @@ def codes_of_bulls_eyes(
     of_each = np.repeat(window[good], count)
     if not len(made):
         return made, of_each, np.zeros(0, np.float32)
-    places = pyramid.places(of_each, made.pose, cfg.cells_a_module)
-    found = align(
-        pyramid.images, places.in_cells(made.pose), [made.space(k) for k in range(len(made))], LEVELS, cfg,
-        workspace=workspace, image_idx=places.image_idx, image_part=places.image_part,
-    )  # fmt: skip
-    aligned = places.in_px(found.pose)
+    spaces = [made.space(k) for k in range(len(made))]
+    found = aligned(pyramid, of_each, made.pose, spaces, LEVELS, cfg, workspace=workspace)
     scores = found.score.astype(np.float32)
     # what is compact is a part of what is not, so it agrees with both
     compact, full = scores.reshape(-1, count).T
     of_full = full >= FULL_SHARE * compact
     best = np.arange(len(good)) * count + of_full
     made = made[best]
-    found = Hypotheses.of(made.size, aligned[best], made.peaks, made.inverted)
+    found = Hypotheses.of(made.size, found.pose[best], made.peaks, made.inverted)
     return found, of_each[best], scores[best]

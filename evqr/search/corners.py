@@ -15,7 +15,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from evqr.config import ReadConfig
-from evqr.fit.align import align
 from evqr.fit.tables import Level
 from evqr.geometry import compose
 from evqr.search.edges import Edges
@@ -23,6 +22,7 @@ from evqr.search.hypothesis import Hypotheses
 from evqr.search.models import dashes, kinds_of, sizes
 from evqr.search.pyramid import Pyramid
 from evqr.search.score import score
+from evqr.search.screen import aligned
 from evqr.symbol.space import Landmark
 from evqr.symbol.symbols import SYMBOLS
 from evqr.symbology import Symbology
@@ -227,12 +227,9 @@ def codes_of_edges(
     seen = score(pyramid, np.repeat(of_each, ways), size, pose, cfg.align, workspace=workspace)
     best = np.arange(len(made)) * ways + (seen[:, 0] + seen[:, 1]).reshape(-1, ways).argmax(axis=1)
     made = Hypotheses.of(made.size, pose[best], made.peaks, made.inverted)
-    places = pyramid.places(of_each, made.pose, cfg.align.cells_a_module)
-    found = align(
-        pyramid.images, places.in_cells(made.pose), [made.space(k) for k in range(len(made))], LEVELS,
-        cfg.align, workspace=workspace, image_idx=places.image_idx, image_part=places.image_part,
-    )  # fmt: skip
-    pose = places.in_px(found.pose)
+    spaces = [made.space(k) for k in range(len(made))]
+    found = aligned(pyramid, of_each, made.pose, spaces, LEVELS, cfg.align, workspace=workspace)
+    pose = found.pose
     pose[:, 2, :2] = 0.0
     dashed = score(pyramid, of_each, made.size, pose, cfg.align, workspace=workspace)[:, 1]
     both = 0.5 * (found.score.astype(np.float32) + dashed)

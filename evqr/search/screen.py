@@ -6,13 +6,14 @@ Stage one's coarse levels run on the images that the search made already.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
 
 from evqr.config import AlignConfig
-from evqr.fit.align import align, coarse_levels
+from evqr.fit.align import Alignment, align, coarse_levels
+from evqr.fit.tables import Level
 from evqr.search.hypothesis import Hypotheses
 from evqr.search.pyramid import Pyramid
 from evqr.symbol.space import CodeSpace
@@ -69,18 +70,27 @@ def screen(
     candidates : list of Candidate
         In the same order.
     """
-    places = pyramid.places(np.asarray(window, np.intp), hypotheses.pose, cfg.cells_a_module)
     spaces = [hypotheses.space(k) for k in range(len(hypotheses))]
-    found = align(
-        pyramid.images,
-        places.in_cells(hypotheses.pose),
-        spaces,
-        coarse_levels(cfg),
-        cfg,
-        workspace=workspace,
-        image_idx=places.image_idx,
-        image_part=places.image_part,
-    )
+    of_each, levels = np.asarray(window, np.intp), coarse_levels(cfg)
+    found = aligned(pyramid, of_each, hypotheses.pose, spaces, levels, cfg, workspace=workspace)
     scores, iterations = found.score.tolist(), found.iterations.tolist()
-    poses = places.in_px(found.pose)
-    return [Candidate(*one) for one in zip(spaces, poses, scores, iterations, strict=True)]
+    return [Candidate(*one) for one in zip(spaces, found.pose, scores, iterations, strict=True)]
+
+
+def aligned(
+    pyramid: Pyramid,
+    window: NDArray[np.intp],
+    pose: NDArray[np.float64],
+    spaces: Sequence[CodeSpace],
+    levels: tuple[Level, ...],
+    cfg: AlignConfig,
+    *,
+    workspace: Workspace,
+) -> Alignment:
+    """Refine poses (N, 3, 3) [px] of codes in windows (N,), each in the level that suits its modules."""
+    places = pyramid.places(window, pose, cfg.cells_a_module)
+    found = align(
+        pyramid.images, places.in_cells(pose), spaces, levels, cfg,
+        workspace=workspace, image_idx=places.image_idx, image_part=places.image_part,
+    )  # fmt: skip
+    return replace(found, pose=places.in_px(found.pose))
