@@ -112,7 +112,7 @@ def test_the_same_rows_from_threads_and_from_dask(archive, tmp_path):
     read_all(paths, tmp_path / "one.db")
     with ThreadPoolExecutor(2) as threads:
         read_all(paths, tmp_path / "threads.db", threads)
-    local = {"n_workers": 1, "threads_per_worker": 2, "processes": False, "dashboard_address": None}
+    local = {"n_workers": 1, "threads_per_worker": 2, "processes": False, "dashboard_address": "127.0.0.1:0"}
     with distributed.LocalCluster(**local) as cluster, distributed.Client(cluster) as client:
         read_all(paths, tmp_path / "dask.db", client.get_executor())
     assert rows(tmp_path / "one.db") == rows(tmp_path / "threads.db") == rows(tmp_path / "dask.db")

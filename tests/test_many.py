@@ -134,7 +134,7 @@ def test_a_lost_worker_is_an_error_of_the_source(tmp_path):
 
 def test_dask(fake_reader):
     distributed = pytest.importorskip("distributed", reason="extra 'distributed' is not installed")
-    local = {"n_workers": 1, "threads_per_worker": 2, "processes": False, "dashboard_address": None}
+    local = {"n_workers": 1, "threads_per_worker": 2, "processes": False, "dashboard_address": "127.0.0.1:0"}
     with distributed.LocalCluster(**local) as cluster, distributed.Client(cluster) as client:
         executor = client.get_executor()
         assert outcomes(read_many(["a", "bad", "b", "bug", "c"], executor=executor)) == EXPECTED

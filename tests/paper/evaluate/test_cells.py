@@ -150,7 +150,7 @@ def test_a_process_pool_gives_the_same_table(tiny, tmp_path, results):
 
 def test_a_dask_cluster_gives_the_same_table(tiny, tmp_path, results):
     distributed = pytest.importorskip("distributed", reason="extra 'distributed' is not installed")
-    local = {"n_workers": 1, "threads_per_worker": 1, "processes": False, "dashboard_address": None}
+    local = {"n_workers": 1, "threads_per_worker": 1, "processes": False, "dashboard_address": "127.0.0.1:0"}
     with distributed.LocalCluster(**local) as cluster, distributed.Client(cluster) as client:
         assert lines(run_cells(tiny, CELLS, tmp_path, executor=client.get_executor())) == lines(results)
 
