@@ -31,6 +31,7 @@ from evqr.search.edges import Edges, straight_edges
 from evqr.search.finder import Found, Peaks, finding
 from evqr.search.hypothesis import Hypotheses
 from evqr.search.models import cores, kinds_of, sizes
+from evqr.search.pairs import codes_of_pairs
 from evqr.search.pyramid import Pyramid
 from evqr.search.score import score
 from evqr.search.screen import Candidate, screen
@@ -276,8 +277,9 @@ def find_codes(
         with clock("finder"):
             all_found = finder.find(which, [window.index for window in left], first=which == passes[0])
             found = [all_found[window.index] for window in left]
-            for window, one, made in zip(left, found, _made_up(found, cfg), strict=True):
-                window.take(one, made, last=which == passes[-1], at_once=not workspace.shared)
+            last = which == passes[-1]
+            for window, one, made in zip(left, found, _made_up(found, cfg, last=last), strict=True):
+                window.take(one, made, last=last, at_once=not workspace.shared)
         while _score(left, pyramid, cfg, workspace, clock):
             while rows := [row for window in left for row in window.rows()]:
                 _try(batch, rows, pyramid, cfg, workspace, clock)
@@ -290,8 +292,11 @@ def find_codes(
     return [window.result() for window in windows]
 
 
-def _made_up(found: Sequence[Found], cfg: ReadConfig) -> list[Hypotheses]:
-    """Give the codes that what was found in each window could be the corners of."""
+def _made_up(found: Sequence[Found], cfg: ReadConfig, *, last: bool) -> list[Hypotheses]:
+    """Give the codes that what was found in each window could be the corners of.
+
+    In the end where one of them is missing, too.
+    """
     ends = np.cumsum([len(one.peaks) for one in found])
     begins = ends - [len(one.peaks) for one in found]
     triples = np.concatenate([one.triples for one in found])
@@ -301,8 +306,13 @@ def _made_up(found: Sequence[Found], cfg: ReadConfig) -> list[Hypotheses]:
     made = made[kinds_of(cfg.symbologies)[made.size]]
     window = np.searchsorted(ends, made.peaks[:, 0], side="right")
     made.peaks[...] -= begins[window, None]
-    last = np.searchsorted(window, np.arange(len(found)), side="right").tolist()
-    return [made[first:end] for first, end in pairwise([0, *last])]
+    ends = np.searchsorted(window, np.arange(len(found)), side="right").tolist()
+    parts = [made[first:end] for first, end in pairwise([0, *ends])]
+    if last:
+        others = codes_of_pairs([one.peaks.table for one in found], cfg.finder)
+        others = [some[kinds_of(cfg.symbologies)[some.size]] for some in others]
+        parts = [Hypotheses.joined(both) for both in zip(parts, others, strict=True)]
+    return parts
 
 
 def _score(

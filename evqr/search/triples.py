@@ -14,7 +14,7 @@ from evqr.search.models import sizes
 
 
 @functools.cache
-def _three_cornered() -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+def three_cornered() -> tuple[NDArray[np.float64], NDArray[np.float64]]:
     """Sizes with three finder patterns, the shortest leg first: log of the leg, and what they are (N, 5).
 
     Where the finder pattern at the corner is along u and v, then one over the leg along u and along v, and
@@ -32,7 +32,7 @@ def _three_cornered() -> tuple[NDArray[np.float64], NDArray[np.float64]]:
 
 def leg_tolerances(cfg: FinderConfig) -> NDArray[np.float32]:
     """Give what must agree in a triple, as `match_corners` takes it."""
-    log_leg, _ = _three_cornered()
+    log_leg, _ = three_cornered()
     tolerances = cfg.leg_tolerance, cfg.scale_tolerance, cfg.angle_tolerance
     return np.array([*tolerances, log_leg[0], log_leg[-1]], np.float32)
 
@@ -56,7 +56,7 @@ def codes_of_triples(
     hypotheses : Hypotheses
         In the order of the triples, those of one from the smallest size on.
     """
-    log_leg, place = _three_cornered()
+    log_leg, place = three_cornered()
     around = triples[:, 4, None] + np.array([-1.0, 1.0]) * cfg.scale_tolerance
     begins, ends = np.searchsorted(log_leg, around).T
     counts = ends - begins
