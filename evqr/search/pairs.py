@@ -21,6 +21,9 @@ from evqr.search.triples import three_cornered
 PATTERNS = 12
 """Finder patterns of a window that are taken two by two, the best."""
 
+OFF = (-1.2, 0.0, 1.2)
+"""How far the way between two patterns may be off: each is where it is to half a module or so [modules]."""
+
 WAYS = np.array(
     [
         # the leg along u, times the way from one to the other: along it, and turned by a right angle
@@ -54,39 +57,47 @@ def codes_of_pairs(peaks: Sequence[NDArray[np.float32]], cfg: FinderConfig) -> l
     table = np.zeros((len(peaks), PATTERNS, 5))
     for row, some in zip(table, peaks, strict=True):
         row[: len(some)] = some[:PATTERNS]
-    response, position, angle = table[..., 0], table[..., 1:3], table[..., 4]
+    response = table[..., 0]
     log_module = np.log(np.where(response == 0.0, np.nan, table[..., 3]))  # NaN agrees with nothing
-    way = position[:, None] - position[:, :, None]  # (B, from, to, 2)
-    length = np.hypot(way[..., 0], way[..., 1])
-    heading = np.arctan2(way[..., 1], way[..., 0])
-    alike = np.abs(log_module[:, None] - log_module[:, :, None]) <= cfg.scale_tolerance
-    alike &= (response[:, None] * response[:, :, None] > 0.0) & (length > 0.0)
-    log_leg = np.log(np.maximum(length, 1e-9)) - 0.5 * (log_module[:, None] + log_module[:, :, None])
-    legs, sizes = three_cornered()
-    found: list[tuple[NDArray[np.intp], ...]] = []
-    for kind in range(len(WAYS)):
-        diagonal = kind == 2
-        turn = heading - 0.25 * math.pi * diagonal
-        off = np.maximum(_off_axis(turn - angle[:, :, None]), _off_axis(turn - angle[:, None]))
-        leg = log_leg - 0.5 * math.log(2.0) * diagonal
-        near = np.abs(leg[..., None] - legs) <= cfg.scale_tolerance
-        window, one, other, size = np.nonzero(near & (alike & (off <= cfg.angle_tolerance))[..., None])
-        found.append((window, one, other, size, np.full(len(window), kind)))
-    window, one, other, size, kind = map(np.concatenate, zip(*found, strict=True))
-    strength = np.abs(response[window, one]) + np.abs(response[window, other])
-    order = np.lexsort((-strength, window))
-    window, one, other, size, kind = (each[order] for each in (window, one, other, size, kind))
-    along = way[window, one, other]
+    alike = np.abs(log_module[:, None] - log_module[:, :, None]) <= 2.0 * cfg.scale_tolerance
+    alike &= response[:, None] * response[:, :, None] > 0.0
+    alike &= ~np.eye(PATTERNS, dtype=np.bool_)
+    window, one, other = np.nonzero(alike)
+    first, second = table[window, one], table[window, other]
+    way = second[:, 1:3] - first[:, 1:3]
+    heading = np.arctan2(way[:, 1], way[:, 0])
+    # a symbol's side lies along the axes of its patterns, its diagonal between them
+    side, diagonal = (
+        np.maximum(_off_axis(turn - first[:, 4]), _off_axis(turn - second[:, 4])) <= cfg.angle_tolerance
+        for turn in (heading, heading - 0.25 * math.pi)
+    )
+    pair, kind = np.nonzero(np.stack([side, side, diagonal], axis=1))
+    log_way = np.log(np.maximum(np.hypot(way[:, 0], way[:, 1]), 1e-9))
+    log_way -= 0.5 * np.log(first[:, 3] * second[:, 3])
+    log_leg, place = three_cornered()
+    around = (log_way[pair] - 0.5 * math.log(2.0) * (kind == 2))[:, None]
+    begins, ends = np.searchsorted(log_leg, around + np.array([-1.0, 1.0]) * cfg.scale_tolerance).T
+    counts = ends - begins
+    # the strongest of each window first, each in its sizes, and each size in its lengths
+    strength = np.abs(first[pair, 0]) + np.abs(second[pair, 0])
+    order = np.lexsort((-strength, window[pair]))
+    pair, kind, counts, ends = pair[order], kind[order], counts[order], ends[order]
+    size = np.arange(counts.sum()) + (ends - counts.cumsum()).repeat(counts)
+    pair, kind = pair.repeat(counts), kind.repeat(counts)
+    pair, kind, size = (each.repeat(len(OFF)) for each in (pair, kind, size))
+    corner_u, corner_v, per_u, per_v, number = place[size].T[..., None]
+    along = way[pair] * (1.0 + np.resize(OFF, len(pair))[:, None] * per_u)
     turned = np.stack([-along[:, 1], along[:, 0]], axis=1)
     u_along, u_turned, c_along, c_turned = WAYS[kind].T[..., None]
     u = u_along * along + u_turned * turned
     v = np.stack([-u[:, 1], u[:, 0]], axis=1)
-    corner_u, corner_v, per_u, per_v, number = sizes[size].T[..., None]
-    pose = np.zeros((len(window), 3, 3))
+    pose = np.zeros((len(pair), 3, 3))
     pose[:, :2, 0], pose[:, :2, 1] = u * per_u, v * per_v
-    corner = position[window, one] - c_along * along - c_turned * turned
+    middle = first[pair, 1:3] + 0.5 * way[pair]
+    corner = middle - (c_along + 0.5) * along - c_turned * turned
     pose[:, :2, 2] = corner - corner_u * pose[:, :2, 0] - corner_v * pose[:, :2, 1]
     pose[:, 2, 2] = 1.0
+    window, one, other = window[pair], one[pair], other[pair]
     made = Hypotheses.of(
         number[:, 0].astype(np.intp), pose, np.stack([one, other, one], axis=1), response[window, one] < 0.0
     )

@@ -2,11 +2,16 @@
 
 import numpy as np
 import pytest
+from scenes import at, find, middle_us, motion_at, scene, window_of
 
 from evqr.config import FinderConfig
-from evqr.geometry import outline
+from evqr.fit.detection import Detection
+from evqr.geometry import inverse, outline
 from evqr.search.models import sizes
 from evqr.search.pairs import PATTERNS, codes_of_pairs
+from evqr.solver import Solver
+from evqr.symbol.decode import decode_grid
+from evqr.symbol.decoded import Decoded
 from evqr.symbology import Symbology
 
 CONFIG = FinderConfig()
@@ -37,7 +42,7 @@ def test_two_patterns_tell_where_the_third_is(missing, degrees):
     assert made.inverted.all()
     assert not made.single and made.peaks.max() == 1
     assert {sizes()[k].symbology for k in made.size.tolist()} == {Symbology.QR_CODE}
-    assert len(made) <= 18  # six symbols, in the sizes beside
+    assert len(made) <= 3 * 18  # six symbols, in the sizes beside, each in three lengths
 
 
 def test_what_does_not_agree_is_no_pair():
@@ -68,3 +73,27 @@ def test_each_window_has_its_own_the_strongest_first():
         assert (np.diff(strength) <= 1e-6).all()
         assert made.peaks.max(initial=0) < PATTERNS
     assert [len(made) > 0 for made in together] == [True, True, False, True, True]
+
+
+@pytest.fixture(scope="module")
+def solver():
+    return Solver(backend="warp")
+
+
+@pytest.mark.parametrize("missing", [0, 1, 2])
+def test_a_code_is_read_that_shows_two_of_its_patterns(missing, solver):
+    """Without a single event of the third."""
+    made = scene()
+    window, truth, time = window_of(made), made.truth["truth"], middle_us(made)
+    motion = motion_at(truth, time)
+    x, y = motion.transport(window.x, window.y, window.t)
+    pose = inverse(at(truth, "H", time))
+    u, v, w = (row[0] * x + row[1] * y + row[2] for row in pose)
+    u, v = u / w, v / w
+    size = len(truth["modules"])
+    near_u, near_v = [(u < 8, v < 8), (u > size - 8, v < 8), (u < 8, v > size - 8)][missing]
+    found = find(solver, window.keep(~(near_u & near_v & (abs(u - size / 2) < size / 2 + 1))), motion)
+    assert isinstance(found, Detection) and found.space.version == 2
+    (estimate,) = solver.solve([found])
+    outcome = decode_grid(estimate.q, found.space)
+    assert isinstance(outcome, Decoded) and outcome.text == "EVQR-07"
