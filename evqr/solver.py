@@ -23,7 +23,7 @@ from evqr.fit.targets import Targets
 from evqr.launched import LAUNCHED
 from evqr.motion import Motion
 from evqr.reason import Reason
-from evqr.search.codes import find_codes
+from evqr.search.codes import are_read, find_codes
 from evqr.search.finder import bytes_for
 from evqr.search.headings import headings
 from evqr.search.motion_estimate import (
@@ -32,6 +32,7 @@ from evqr.search.motion_estimate import (
     estimate_motions,
     find_motion,
 )
+from evqr.search.smaller import smaller
 from evqr.symbology import Symbology
 from evqr.values import FrozenDict
 from evqr.workspace import Workspace
@@ -160,6 +161,7 @@ class Solver:
         *,
         tau_us: Sequence[tuple[float, float] | None] | None = None,
         symbologies: tuple[Symbology, ...] | None = None,
+        thorough: bool = True,
     ) -> list[tuple[Detection, ...] | NotFound]:
         """Find all codes of windows from cold.
 
@@ -174,6 +176,9 @@ class Solver:
             configured.
         symbologies : tuple of Symbology, optional
             Kinds that are searched for; None: those configured.
+        thorough : bool
+            Whether tilted codes and smaller modules are searched for where nothing is found; where what is
+            found is not sure they are in any case.
 
         Returns
         -------
@@ -194,10 +199,11 @@ class Solver:
                 rows = open_[first : first + together]
                 found = find_codes(
                     batch.pick(rows), [tried[k][turn] for k in rows], [known[k] for k in rows], cfg,
-                    workspace=self.workspace, clock=clock,
+                    workspace=self.workspace, clock=clock, thorough=thorough,
                 )  # fmt: skip
                 for k, one in zip(rows, found, strict=True):
                     best[k] = max(one, best[k], key=_closeness)
+        self._find_smaller(batch, tried, known, best, cfg, clock, thorough=thorough)
         timings_ms = FrozenDict({stage: ms / len(batch) for stage, ms in clock.ms.items()})
         return [
             one.altered(timings_ms=timings_ms)
@@ -205,6 +211,41 @@ class Solver:
             else (one[0].altered(timings_ms=timings_ms), *one[1:])
             for one in best
         ]
+
+    def _find_smaller(
+        self,
+        batch: EventBatch,
+        tried: Sequence[Sequence[Motion]],
+        known: Sequence[tuple[float, float] | None],
+        best: list[tuple[Detection, ...] | NotFound],
+        cfg: ReadConfig,
+        clock: StageClock,
+        *,
+        thorough: bool,
+    ) -> None:
+        """Search for smaller modules where there is no code, or none that is sure or can be read."""
+        below = smaller(cfg)
+        if below is None:
+            return
+        open_ = []
+        for k, found in enumerate(best):
+            if isinstance(found, NotFound):
+                if thorough and tried[k]:
+                    open_.append(k)
+            elif _sure(found, cfg) and len(found[0].space.anchors) > 1:
+                continue  # a single pattern is soon found in noise
+            elif not any(are_read(found, cfg, self.workspace, clock)):
+                open_.append(k)
+        together = self.workspace.windows_at_once(bytes_for(batch.windows, below.finder)) if open_ else 1
+        for first in range(0, len(open_), together):
+            rows = open_[first : first + together]
+            found = find_codes(
+                batch.pick(rows), [tried[k][0] for k in rows], [known[k] for k in rows], below,
+                workspace=self.workspace, clock=clock, thorough=False,
+            )  # fmt: skip
+            for k, one in zip(rows, found, strict=True):
+                if isinstance(best[k], NotFound) or _sure(one, cfg):
+                    best[k] = max(one, best[k], key=_closeness)
 
     def follow(
         self,

@@ -65,12 +65,15 @@ class Find(NamedTuple):
         As of `Solver.find`.
     symbologies : tuple of Symbology, optional
         As of `Solver.find`.
+    thorough : bool
+        As of `Solver.find`.
     """
 
     window: Window
     motion: Motion
     tau_us: tuple[float, float] | None = None
     symbologies: tuple[Symbology, ...] | None = None
+    thorough: bool = True
 
 
 class Follow(NamedTuple):
@@ -365,17 +368,16 @@ def _estimated(works: list[Estimate], solver: Solver) -> list[MotionEstimate | N
 def _found(works: list[Find], solver: Solver) -> list[tuple[Detection, ...] | NotFound]:
     """Find codes, those of the same kinds at once."""
     found: list[Any] = [None] * len(works)
-    kinds: dict[tuple[Symbology, ...] | None, list[int]] = {}
+    kinds: dict[tuple[tuple[Symbology, ...] | None, bool], list[int]] = {}
     for k, work in enumerate(works):
-        kinds.setdefault(work.symbologies, []).append(k)
-    for symbologies, rows in kinds.items():
+        kinds.setdefault((work.symbologies, work.thorough), []).append(k)
+    for (symbologies, thorough), rows in kinds.items():
         asked = [works[k] for k in rows]
         batch, taus = EventBatch.of([work.window for work in asked]), [work.tau_us for work in asked]
         motions = [work.motion for work in asked]
-        for k, codes in zip(
-            rows, solver.find(batch, motions, tau_us=taus, symbologies=symbologies), strict=True
-        ):
-            found[k] = codes
+        codes = solver.find(batch, motions, tau_us=taus, symbologies=symbologies, thorough=thorough)
+        for k, each in zip(rows, codes, strict=True):
+            found[k] = each
     return found
 
 

@@ -77,12 +77,15 @@ class FinderPass(Settings):
         those of codes were seen to be 0.44 and more.
     min_response : float
         Normalised response of a finder pattern that counts, 0 to 1. Chosen.
+    slack : float
+        Factor on the tolerances of triples. Chosen.
     """
 
     least_module_px: NotNegative = 0.0
     floor: NotNegative = 0.5
     min_first: Share = 0.27
     min_response: Share = 0.32
+    slack: Positive = 1.0
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -97,6 +100,9 @@ class FinderConfig(Settings):
         Largest module searched. Chosen.
     scale_ratio : float
         Step from one module size to the next. Chosen.
+    smaller_sizes : int
+        Module sizes below the smallest, a step apart, that are searched for QR codes where no code is read
+        otherwise; 0: none. Chosen: down to 2 px.
     cells_a_module : float [cells/module]
         Resolution of the search. Chosen.
     half : int [cells]
@@ -108,8 +114,8 @@ class FinderConfig(Settings):
         Cells are clipped at so many times the mean strength of those that have events: a hot pixel is no
         edge. Chosen.
     passes : tuple of FinderPass
-        One after another until a code is found that agrees well: large modules that stand out, then all.
-        Chosen.
+        One after another until a code is found that agrees well: large modules that stand out, then all, then
+        three patterns as a code shows that is tilted by up to 45 degrees. Chosen.
     peaks_a_row : int
         Peaks kept of one row of a level. Chosen.
     peaks : int
@@ -156,12 +162,14 @@ class FinderConfig(Settings):
     smallest_module_px: Annotated[float, Range(least=1.0, most=200.0)] = 3.2
     largest_module_px: Annotated[float, Range(least=1.0, most=200.0)] = 22.0
     scale_ratio: Annotated[float, Range(least=1.01, most=3.0)] = 1.22
+    smaller_sizes: Annotated[int, Range(least=0, most=8)] = 2
     cells_a_module: Annotated[float, Range(least=1.0, most=8.0)] = 1.25
     half: Annotated[int, Range(least=3, most=32)] = 6
     lag_cells: tuple[NotNegative, NotNegative] = (0.25, 0.5)
     clip: Positive = 3.0
     passes: tuple[FinderPass, ...] = (
         FinderPass(least_module_px=4.3, floor=0.8, min_first=0.33, min_response=0.38), FinderPass(),
+        FinderPass(slack=2.2),
     )  # fmt: skip
     peaks_a_row: Count = 8
     peaks: Annotated[int, Range(least=3, most=1024)] = 96

@@ -25,8 +25,8 @@ class SchedulerConfig(Settings):
         no code was found. Chosen: a code that enters the image is found within 40 px.
     every_kind : int
         Of so many searches in a row in which something moves and no code is found, one is for all kinds of
-        symbols that are asked for, the others for QR and Micro QR codes. Chosen: a search for all takes
-        several times as long where there is no code.
+        symbols that are asked for, for tilted QR codes and for small modules, the others for QR and Micro QR
+        codes. Chosen: a search for all takes several times as long where there is no code.
     codes_a_search : int
         Codes that one search finds at most. Chosen.
     margin_modules : float [modules]

@@ -36,6 +36,7 @@ from evqr.search.pyramid import Pyramid
 from evqr.search.score import score
 from evqr.search.screen import Candidate, screen
 from evqr.search.singles import codes_of_singles, with_single_patterns
+from evqr.search.tilted import codes_of_tilted
 from evqr.search.triples import codes_of_triples
 from evqr.symbol.decode import decode_grid
 from evqr.symbol.decoded import Decoded
@@ -88,6 +89,11 @@ class _Window:
     def sure(self) -> bool:
         """Whether there is a code that agrees well."""
         return any(code.score >= self._cfg.align.good_score for code in self.codes)
+
+    @property
+    def agrees(self) -> bool:
+        """Whether there is something that agrees with a code, well or not."""
+        return bool(self.codes or self._unconfirmed)
 
     def next_to_score(self) -> Hypotheses | None:
         """Give the hypotheses that are to be scored now; None where all are."""
@@ -235,6 +241,7 @@ def find_codes(
     *,
     workspace: Workspace,
     clock: StageClock,
+    thorough: bool,
 ) -> list[tuple[Detection, ...] | NotFound]:
     """Find all codes of windows, along one motion each.
 
@@ -252,6 +259,8 @@ def find_codes(
         Buffers.
     clock : StageClock
         To which the times are added, by stage.
+    thorough : bool
+        Whether tilted codes are searched for where nothing is found.
 
     Returns
     -------
@@ -267,18 +276,27 @@ def find_codes(
     windows = [
         _Window(k, motion, tau, cfg) for k, (motion, tau) in enumerate(zip(motions, tau_us, strict=True))
     ]
-    passes = range(len(cfg.finder.passes))
+    upright = [k for k, one in enumerate(cfg.finder.passes) if one.slack <= 1.0]
+    tilted = [k for k, one in enumerate(cfg.finder.passes) if one.slack > 1.0]
     if not workspace.shared:
-        passes = passes[-1:]  # to ask a device once more takes longer than to look for all at once
-    for which in passes:
+        upright = upright[-1:]  # to ask a device once more takes longer than to look for all at once
+    for which in upright + tilted:
         left = [window for window in windows if not window.sure]
+        if which in tilted and not thorough:
+            left = [window for window in left if window.agrees]
         if not left:
             break
         with clock("finder"):
-            all_found = finder.find(which, [window.index for window in left], first=which == passes[0])
+            all_found = finder.find(which, [window.index for window in left], first=which == upright[0])
             found = [all_found[window.index] for window in left]
-            last = which == passes[-1]
-            for window, one, made in zip(left, found, _made_up(found, cfg, last=last), strict=True):
+            last = which not in upright[:-1]
+            if which in tilted:
+                numbers = [window.index for window in left]
+                ways = np.array([window.motion.direction for window in left])
+                every = codes_of_tilted(found, numbers, ways, pyramid, cfg.align, workspace=workspace)
+            else:
+                every = _made_up(found, cfg, last=last)
+            for window, one, made in zip(left, found, every, strict=True):
                 window.take(one, made, last=last, at_once=not workspace.shared)
         while _score(left, pyramid, cfg, workspace, clock):
             while rows := [row for window in left for row in window.rows()]:
@@ -490,15 +508,27 @@ def _confirmed(
     """
     sure = [code.space.anchors[0].kind is Landmark.FINDER_PATTERN for code in codes]
     asked = [k for k, one in enumerate(sure) if not (one or _is_core(codes[k]))]
-    if asked:
-        with clock("stage_two"):
-            weights = [weight_of(codes[k].noise) for k in asked]
-            equations = [codes[k].equations for k in asked]
-            grids = solve_modules(equations, cfg.modules, workspace=workspace, weights=weights)
-        for k, grid in zip(asked, grids, strict=True):
-            read = decode_grid(grid.q, codes[k].space, config=cfg.decode, effort="full")
-            sure[k] = isinstance(read, Decoded)
+    read = are_read([codes[k] for k in asked], cfg, workspace, clock)
+    for k, each in zip(asked, read, strict=True):
+        sure[k] = each
     return sure
+
+
+def are_read(
+    codes: Sequence[Detection], cfg: ReadConfig, workspace: Workspace, clock: StageClock
+) -> list[bool]:
+    """Tell which codes their windows say enough of, each alone, to decode them."""
+    if not codes:
+        return []
+    with clock("stage_two"):
+        weights = [weight_of(code.noise) for code in codes]
+        equations = [code.equations for code in codes]
+        grids = solve_modules(equations, cfg.modules, workspace=workspace, weights=weights)
+    outcomes = [
+        decode_grid(grid.q, code.space, config=cfg.decode, effort="full")
+        for grid, code in zip(grids, codes, strict=True)
+    ]
+    return [isinstance(outcome, Decoded) for outcome in outcomes]
 
 
 def _as_shown(

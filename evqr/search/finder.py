@@ -112,7 +112,7 @@ class Finder(Keeper):
         self._quiet = [workspace.put((each.floor * shares).astype(np.float32)) for each in cfg.passes]
         self._extent = staging.input((count, len(self.pyramid.levels), 2), np.int32)
         self._origin = staging.input((count, 2))
-        self._tolerances = workspace.put(leg_tolerances(cfg))
+        self._tolerances = [workspace.put(leg_tolerances(cfg, each.slack)) for each in cfg.passes]
         self._peaks = staging.output((count, cfg.peaks, 5))
         self._triples = staging.output((count, cfg.peaks, cfg.triples_a_corner, 4))
         _, tall, wide = self.pyramid.images.device.shape
@@ -168,23 +168,30 @@ class Finder(Keeper):
         ]
 
     def _launch_pass(self, which: int, *, first: bool) -> None:
-        """Launch the kernels of a pass one by one; those of the pyramid before the first."""
+        """Launch the kernels of a pass one by one; those of the pyramid before the first.
+
+        A pass that differs from the one before in its slack alone takes the peaks of that.
+        """
         backend, cfg, one = self._backend, self._cfg, self._cfg.passes[which]
         if first:
             self.pyramid.launch()
-        backend.correlate_templates(
-            self.pyramid.images.device, self.pyramid.busy, self._basis.device, self._mix.device, self._disc,
-            self._rows, self._extent.device, self._quiet[which], one.min_first, one.min_response,
-            *self._correlating, self._response, self._angle,
-        )  # fmt: skip
-        backend.local_maxima(
-            self._response, self._angle, self._rows, self._extent.device, self._sizes, self._origin.device,
-            0.0, math.pi / 2 / ANGLES, self._maxima,
-        )  # fmt: skip
-        count, high, a_row, _ = self._maxima.shape
-        many = self._maxima.reshape((count, high * a_row, 5))
-        backend.merge_maxima(many, 2.0, 1.5 * math.log(cfg.scale_ratio), *self._merging, self._peaks.device)
-        backend.match_corners(self._peaks.device, self._tolerances, *self._matching, self._triples.device)
+        if first or replace(one, slack=1.0) != replace(cfg.passes[which - 1], slack=1.0):
+            backend.correlate_templates(
+                self.pyramid.images.device, self.pyramid.busy, self._basis.device, self._mix.device,
+                self._disc, self._rows, self._extent.device, self._quiet[which], one.min_first,
+                one.min_response, *self._correlating, self._response, self._angle,
+            )  # fmt: skip
+            backend.local_maxima(
+                self._response, self._angle, self._rows, self._extent.device, self._sizes,
+                self._origin.device, 0.0, math.pi / 2 / ANGLES, self._maxima,
+            )  # fmt: skip
+            count, high, a_row, _ = self._maxima.shape
+            many = self._maxima.reshape((count, high * a_row, 5))
+            apart = 2.0, 1.5 * math.log(cfg.scale_ratio)
+            backend.merge_maxima(many, *apart, *self._merging, self._peaks.device)
+        backend.match_corners(
+            self._peaks.device, self._tolerances[which], *self._matching, self._triples.device
+        )
 
 
 def bytes_for(windows: Sequence[Window], cfg: FinderConfig) -> float:
@@ -271,6 +278,6 @@ def find_patterns(
     pyramid : Pyramid
         What was searched; its images last until the next search.
     """
-    alone = replace(cfg, passes=cfg.passes[-1:])
+    alone = replace(cfg, passes=tuple(each for each in cfg.passes if each.slack <= 1.0)[-1:])
     finder = finding(batch, motions, alone, workspace=workspace, lags_px=lags_px)
     return finder.find(0, range(len(batch)), first=True), finder.pyramid

@@ -184,6 +184,14 @@ def _pattern() -> NDArray[np.float64]:
     return np.stack([u, v, along_u, along_v], axis=1)
 
 
+@functools.cache
+def pattern() -> Models:
+    """Make the points of a finder pattern alone, with its centre at 0: number 0 of a table of one."""
+    points = _pattern()
+    ptr = np.array([[0, len(points), len(points)], [len(points)] * 3], np.int32)
+    return Models("pattern", closed(points.astype(np.float32)), closed(ptr))
+
+
 def _solid_sides(rows: int, columns: int) -> NDArray[np.float64]:
     """Points of the outer edges of the left column and of the bottom row, one a module, which are dark."""
     points = np.zeros((rows + columns, 4))

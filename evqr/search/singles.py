@@ -8,12 +8,13 @@ long sizes begin with, their head, is aligned next; all its sizes are made up fr
 from __future__ import annotations
 
 import functools
+from dataclasses import replace
 
 import numpy as np
 from numpy.typing import NDArray
 
 from evqr.config import AlignConfig
-from evqr.fit.align import Align
+from evqr.fit.align import Align, Alignment
 from evqr.fit.image import count_for
 from evqr.fit.tables import Codes, Level
 from evqr.geometry import compose
@@ -147,17 +148,7 @@ def codes_of_singles(
     pose[:, 0, 0], pose[:, 0, 1], pose[:, 1, 0], pose[:, 1, 1] = cos, -sin, sin, cos
     pose[:, 0, 2], pose[:, 1, 2] = x - 4.5 * (cos - sin), y - 4.5 * (sin + cos)
     pose[:, 2, 2] = 1.0
-    places = pyramid.places(window, pose, cfg.cells_a_module)
-    codes, images, count = Codes.of(workspace), pyramid.images, count_for(len(peaks))
-    numbers = [codes.number(_pattern())] * len(peaks)
-    tables = [codes.poses(each, cfg, numbers) for each in LEVELS]
-    step = images.once(
-        ("finder patterns", count, cfg, tuple(each.version for each in tables)),
-        lambda: Align(images, count, tables, cfg.max_iterations, workspace),
-    )
-    step.write(places.in_cells(pose), places.image_idx, numbers, places.image_part)
-    step.run()
-    refined = places.in_px(step.read().pose)
+    refined = aligned_patterns(pose, window, pyramid, cfg, workspace=workspace).pose
     refined = _as_seen(refined, direction)
     alone, of_alone = _hypotheses(refined, *_single(symbologies), peaks, which, window)
     begun, of_begun = _hypotheses(refined, *_heads(symbologies), peaks, which, window)
@@ -165,6 +156,44 @@ def codes_of_singles(
         return alone, of_alone
     grown, of_grown = _grown(begun, of_begun, len(peaks), pyramid, cfg, workspace=workspace)
     return Hypotheses.joined([alone, grown]), np.concatenate([of_alone, of_grown])
+
+
+def aligned_patterns(
+    pose: NDArray[np.float64],
+    window: NDArray[np.intp],
+    pyramid: Pyramid,
+    cfg: AlignConfig,
+    *,
+    workspace: Workspace,
+) -> Alignment:
+    """Align finder patterns alone, each as if it were a symbol of 9 modules with its separator.
+
+    Parameters
+    ----------
+    pose : (N, 3, 3) float64
+        Of each [px].
+    window : (N,) intp
+        The window of each.
+    pyramid, cfg, workspace : as of `codes_of_singles`
+        The same.
+
+    Returns
+    -------
+    alignment : Alignment
+        Poses in px.
+    """
+    places = pyramid.places(window, pose, cfg.cells_a_module)
+    codes, images, count = Codes.of(workspace), pyramid.images, count_for(len(pose))
+    numbers = [codes.number(_pattern())] * len(pose)
+    tables = [codes.poses(each, cfg, numbers) for each in LEVELS]
+    step = images.once(
+        ("finder patterns", count, cfg, tuple(each.version for each in tables)),
+        lambda: Align(images, count, tables, cfg.max_iterations, workspace),
+    )
+    step.write(places.in_cells(pose), places.image_idx, numbers, places.image_part)
+    step.run()
+    found = step.read()
+    return replace(found, pose=places.in_px(found.pose))
 
 
 def _hypotheses(

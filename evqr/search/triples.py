@@ -30,10 +30,10 @@ def three_cornered() -> tuple[NDArray[np.float64], NDArray[np.float64]]:
     return table[:, 0], table[:, 1:]
 
 
-def leg_tolerances(cfg: FinderConfig) -> NDArray[np.float32]:
-    """Give what must agree in a triple, as `match_corners` takes it."""
+def leg_tolerances(cfg: FinderConfig, slack: float) -> NDArray[np.float32]:
+    """Give what must agree in a triple, with a factor on how well, as `match_corners` takes it."""
     log_leg, _ = three_cornered()
-    tolerances = cfg.leg_tolerance, cfg.scale_tolerance, cfg.angle_tolerance
+    tolerances = cfg.leg_tolerance * slack, cfg.scale_tolerance * slack, cfg.angle_tolerance * slack
     return np.array([*tolerances, log_leg[0], log_leg[-1]], np.float32)
 
 

@@ -419,11 +419,15 @@ class StreamScheduler:
         step = max(self._solver.window_us(motion), round(motion.travel_time_us(travel)))
         return min(step, cfg.longest_us)
 
-    def _kinds(self, vain: int) -> tuple[Symbology, ...]:
-        """Give the kinds of symbols that are searched for after so many searches in vain."""
+    def _kinds(self, vain: int) -> tuple[tuple[Symbology, ...], bool]:
+        """Give the kinds of symbols that are searched for after so many searches in vain.
+
+        And whether the search is thorough.
+        """
         asked, every = self._config.symbologies, self._config.scheduler.every_kind
         first = tuple(kind for kind in asked if kind in BY_THREE_PATTERNS)
-        return first if first and vain % every != every - 1 else asked
+        thorough = vain % every == every - 1
+        return asked if thorough or not first else first, thorough
 
     def _try(self, at_us: int, *, ahead: int | None = None) -> Activity[_Try]:
         """Search once; may run on any thread where it is so many ``ahead``, and changes nothing here then."""
@@ -442,8 +446,8 @@ class StreamScheduler:
         if not self._events.reaches(end_us):
             ends = NotFound(Reason.RECORDING_ENDS, closest=-1.0, timings_ms=clock.ms)
             return _Try(at_us, motion, None, ends)
-        kinds = self._kinds(self._vain + (ahead or 0))
-        (found,) = yield [Find(self._outside_tracks(window), motion, self._tau_us, kinds)]
+        kinds, thorough = self._kinds(self._vain + (ahead or 0))
+        (found,) = yield [Find(self._outside_tracks(window), motion, self._tau_us, kinds, thorough)]
         if isinstance(found, NotFound):
             clock.add(found.timings_ms)
             return _Try(at_us, motion, window, replace(found, timings_ms=clock.ms))

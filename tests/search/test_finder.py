@@ -178,7 +178,7 @@ def matched(workspace, response, position, module_px, angle):
     """Hypotheses of some peaks."""
     table = np.column_stack([response, position, module_px, angle]).astype(np.float32)
     peaks = np.concatenate([table, np.zeros((2, 5), np.float32)])  # with room left
-    triples = match_corners(peaks[None], leg_tolerances(CONFIG), most=CONFIG.triples_a_corner)
+    triples = match_corners(peaks[None], leg_tolerances(CONFIG, 1.0), most=CONFIG.triples_a_corner)
     return codes_of_triples(table, in_order(triples)[0], CONFIG)
 
 
