@@ -23,7 +23,8 @@ from evqr.fit.targets import Targets
 from evqr.launched import LAUNCHED
 from evqr.motion import Motion
 from evqr.reason import Reason
-from evqr.search.codes import are_read, find_codes
+from evqr.search.codes import find_codes
+from evqr.search.confirm import are_read
 from evqr.search.finder import bytes_for
 from evqr.search.headings import headings
 from evqr.search.motion_estimate import (
