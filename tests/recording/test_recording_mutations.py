@@ -67,7 +67,7 @@ def read_or_explain(path):
 
 @pytest.mark.parametrize("kind", KINDS)
 @settings(
-    max_examples=150,
+    max_examples=60,
     deadline=None,
     derandomize=True,
     suppress_health_check=[HealthCheck.function_scoped_fixture, HealthCheck.differing_executors],

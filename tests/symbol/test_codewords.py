@@ -16,8 +16,8 @@ def make(version, level, mask, text="evqr"):
 
 
 @pytest.mark.parametrize("version", range(1, 41))
-def test_codewords_of_every_version_and_level(version):
-    for number, level in enumerate(LEVELS):
+def test_codewords_of_every_version(version):
+    for number, level in list(enumerate(LEVELS))[version % 2 :: 2]:  # the others of its neighbours
         mask = (version + number) % 8
         grid = make(version, level, mask)
         layout = codeword_layout(version, level)

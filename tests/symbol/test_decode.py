@@ -328,7 +328,7 @@ def random_grids(version, n, rng):
         yield q
 
 
-@pytest.mark.parametrize(("version", "n"), [(1, 10000), (2, 5000), (3, 2500), (4, 2500)])
+@pytest.mark.parametrize(("version", "n"), [(1, 4000), (2, 2000), (3, 1000), (4, 1000)])
 @pytest.mark.parametrize("effort", ["quick", "full"])
 def test_nothing_is_read_into_random_grids(version, n, effort):
     n = n if effort == "quick" else n // 50

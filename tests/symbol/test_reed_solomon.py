@@ -45,7 +45,7 @@ def within_reach(code, word, received, erased):
 
 
 @given(words())
-@settings(max_examples=400, deadline=None)
+@settings(max_examples=200, deadline=None)
 def test_what_is_within_reach_is_corrected_and_nothing_else_is_returned(case):
     code, word, received, erased = case
     assert not code.syndromes(word).any()
@@ -60,7 +60,7 @@ def test_what_is_within_reach_is_corrected_and_nothing_else_is_returned(case):
 
 
 @given(words(n_check=range(1, 13)))
-@settings(max_examples=150, deadline=None)
+@settings(max_examples=60, deadline=None)
 def test_reedsolo_agrees(case):
     code, word, received, erased = case
     m = code.polynomial.bit_length() - 1
