@@ -40,6 +40,12 @@ LARGEST_GAP = 1 << 17
 between them: as many bytes as go over a slow bus in the time that two more copies take."""
 
 
+COLUMNS = np.uint16, np.uint16, np.uint32
+"""Of events."""
+
+LEAST_BEFORE = 1 << 20
+"""Words before the events of a device: as many as what is asked and answered of 128 small codes takes."""
+
 ALIGNED = 16
 """Words of 32 bits that parts of a block begin with a multiple of: a line of the cache."""
 
@@ -98,11 +104,13 @@ class Staging:
     """What a sequence of launches takes from the host and gives to it: one copy there, and one back.
 
     Small arrays, side by side in one block on the host and in one on the device, which are made when one of
-    them is first asked for: inputs first, outputs last, and between them what is both.
+    them is first asked for: outputs first, inputs last, and between them what is both.  What launches work on
+    ``events`` lies before these on the device, so that events that are not there yet go with it.
     """
 
-    def __init__(self, workspace: Workspace) -> None:
+    def __init__(self, workspace: Workspace, events: EventRoom | None = None) -> None:
         self._workspace = workspace
+        self._events = None if workspace.shared else events
         self._inputs: list[Mirror] = []
         self._both: list[Mirror] = []
         self._outputs: list[Mirror] = []
@@ -129,10 +137,10 @@ class Staging:
 
     @cached_property
     def _places(self) -> tuple[dict[Mirror, int], int, int, int]:
-        """Give the first word of each array, and where what is both begins and ends, and all ends."""
+        """Give the first word of each array, and where outputs end, and what is both, and all."""
         places: dict[Mirror, int] = {}
         ends, end = [], 0
-        for mirrors in (self._inputs, self._both, self._outputs):
+        for mirrors in (self._outputs, self._both, self._inputs):
             for mirror in mirrors:
                 places[mirror] = end
                 end += -(-words_of(mirror.shape, mirror.dtype) // ALIGNED) * ALIGNED
@@ -140,12 +148,15 @@ class Staging:
         return places, *ends
 
     @cached_property
-    def _blocks(self) -> tuple[NDArray[np.uint32], Any]:
+    def _blocks(self) -> tuple[NDArray[np.uint32], Any, int]:
+        """Give the block on the host, that on the device, and where it begins in that."""
         places, *_, end = self._places
         host = np.zeros(end, np.uint32)
         for mirror, first in places.items():
             part_of(host, first, mirror.shape, mirror.dtype)[...] = mirror.value
-        return host, self._workspace.put(host)
+        if self._events is None:
+            return host, self._workspace.put(host), 0
+        return host, *self._events.before(end)
 
     def host_part(self, mirror: Mirror) -> NDArray[Any]:
         """Give an array on the host."""
@@ -153,41 +164,32 @@ class Staging:
 
     def device_part(self, mirror: Mirror) -> Any:
         """Give an array on the device."""
-        block, first = self._blocks[1], self._places[0][mirror]
+        _, block, begin = self._blocks
+        first = begin + self._places[0][mirror]
         return self._workspace.backend.part(block, first, mirror.shape, mirror.dtype)
 
     def push(self) -> None:
         """Bring to the device what was written."""
-        _, _, end, _ = self._places
-        if end and not self._workspace.shared:
-            self._copy(0, end, there=True)
-
-    def push_rows(self, first: Mirror, last: Mirror, count: int) -> None:
-        """Bring there the inputs from one on to another, of which only so many rows."""
-        places, *_ = self._places
-        if not self._workspace.shared:
-            end = places[last] + words_of((count, *last.shape[1:]), last.dtype)
-            self._copy(places[first], end, there=True)
+        _, first, _, end = self._places
+        host, block, begin = self._blocks
+        if self._events is not None:
+            self._events.push(host[first:])
+        elif end > first:
+            assign_part(self._workspace.backend, block, begin + first, host[first:])
 
     def pull(self) -> None:
         """Bring back what the device wrote since the last time."""
         if self._to_read:
-            _, begin, _, end = self._places
-            self._copy(begin, end, there=False)
+            _, _, end, _ = self._places
+            host, block, begin = self._blocks
+            backend = self._workspace.backend
+            host[:end] = backend.to_host(backend.part(block, begin, (end,), np.uint32))
             self._to_read = False
-
-    def _copy(self, first: int, end: int, *, there: bool) -> None:
-        host, device = self._blocks
-        backend = self._workspace.backend
-        part = backend.part(device, first, (end - first,), np.uint32)
-        if there:
-            backend.assign(part, host[first:end])
-        else:
-            host[first:end] = backend.to_host(part)
 
     def sequence(self, launch: Callable[[], None]) -> Callable[[], None]:
         """Record what launches kernels on these arrays; it then runs with the inputs as they are."""
         with one_time():
+            _ = self._blocks  # made before launches ask where events are
             recorded = self._workspace.backend.record(launch)
         if self._workspace.shared:
             return recorded
@@ -239,11 +241,16 @@ class Images(Keeper):
 
 
 class Step(Keeper):
-    """Launches on arrays of its own: alone, or as a part of a larger step, whose ``staging`` it is given."""
+    """Launches on arrays of its own: alone, or as a part of a larger step, whose ``staging`` it is given.
 
-    def __init__(self, workspace: Workspace, staging: Staging | None = None) -> None:
+    Alone it may work on ``events``.
+    """
+
+    def __init__(
+        self, workspace: Workspace, staging: Staging | None = None, events: EventRoom | None = None
+    ) -> None:
         self._backend = workspace.backend
-        self._staging = staging or Staging(workspace)
+        self._staging = staging or Staging(workspace, events)
 
     def launch(self) -> None:
         """Launch the kernels one by one."""
@@ -256,7 +263,7 @@ class Step(Keeper):
 
 
 class EventRoom:
-    """Room on the device for the events of a batch, eight bytes each.
+    """Room on the device for the events of a batch, eight bytes each, and before them for what goes along.
 
     Attributes
     ----------
@@ -268,13 +275,38 @@ class EventRoom:
 
     def __init__(self, workspace: Workspace, capacity: int) -> None:
         self.capacity = capacity
-        self._staging = Staging(workspace)
-        self._mirrors = [self._staging.input((capacity,), each) for each in (np.uint16, np.uint16, np.uint32)]
-        self.x, self.y, self.stamp = (mirror.device for mirror in self._mirrors)
+        self._workspace = workspace
         self._parts: tuple[PackedEvents, ...] = ()
+        self._count, self._waiting = 0, False
+        self._make(0 if workspace.shared else LEAST_BEFORE)
+
+    def _make(self, before: int) -> None:
+        self._before, ends = before, [before]
+        for dtype in COLUMNS:
+            ends.append(ends[-1] + words_of((self.capacity,), dtype))
+        self._host, self._begins = np.zeros(ends.pop(), np.uint32), ends
+        self._block = self._workspace.put(self._host)
+        there = [(begin, (self.capacity,), dtype) for begin, dtype in zip(ends, COLUMNS, strict=True)]
+        self._columns = [part_of(self._host, *each) for each in there]
+        self.x, self.y, self.stamp = (self._workspace.backend.part(self._block, *each) for each in there)
+
+    @property
+    def size(self) -> tuple[int, int]:
+        """How much room there is: what is recorded for it is recorded anew for more."""
+        return self.capacity, self._before
+
+    def before(self, words: int) -> tuple[Any, int]:
+        """Give the block on the device, and its word from which on there are so many before the events."""
+        if words > self._before:
+            columns = [column[: self._count] for column in self._columns]
+            self._make(1 << (words - 1).bit_length())
+            for column, values in zip(self._columns, columns, strict=True):
+                column[: self._count] = values
+            self._waiting = True
+        return self._block, self._before - words
 
     def load(self, batch: EventBatch) -> None:
-        """Bring the events of a batch there, unless they are there already, alone or the first of more."""
+        """Take the events of a batch, unless they are here already, alone or the first of more."""
         parts, there = batch.parts, 0
         if len(parts) == len(self._parts):
             if all(map(operator.is_, parts, self._parts)) or (
@@ -283,15 +315,35 @@ class EventRoom:
                 return
             if len(parts) == 1 and self._parts[0].begin(parts[0]):
                 there = len(self._parts[0])  # on the host, the first of these
-        self._parts, columns = parts, self._mirrors
-        end = batch.n_events
-        for name, column in zip(("x", "y", "stamp"), columns, strict=True):
-            if parts:
+        self._parts, self._count, self._waiting = parts, batch.n_events, True
+        if parts:
+            for name, column in zip(("x", "y", "stamp"), self._columns, strict=True):
                 # of several parts none is there
-                np.concatenate([getattr(part, name)[there:] for part in parts], out=column.host[there:end])
-        together = self.capacity - end <= LARGEST_GAP + end // 8
-        for begin, last in [(columns[0], columns[-1])] if together else zip(columns, columns, strict=True):
-            self._staging.push_rows(begin, last, end)
+                rest = column[there : self._count]
+                np.concatenate([getattr(part, name)[there:] for part in parts], out=rest)
+
+    def push(self, inputs: NDArray[np.uint32]) -> None:
+        """Bring to the device what lies right before the events, and with it those that are not there yet."""
+        first, backend = self._before - len(inputs), self._workspace.backend
+        if not self._waiting:
+            if len(inputs):
+                assign_part(backend, self._block, first, inputs)
+            return
+        self._waiting, self._host[first : self._before] = False, inputs
+        spans = [
+            (begin, begin + words_of((self._count,), dtype))
+            for begin, dtype in zip(self._begins, COLUMNS, strict=True)
+        ]
+        spans[0] = first, spans[0][1]
+        if self.capacity - self._count <= LARGEST_GAP + self._count // 8:
+            spans = [(first, spans[-1][1])]
+        for begin, end in spans:
+            assign_part(backend, self._block, begin, self._host[begin:end])
+
+
+def assign_part(backend: KernelBackend, block: Any, first: int, values: NDArray[np.uint32]) -> None:
+    """Copy words into a block, from one of its words on."""
+    backend.assign(backend.part(block, first, values.shape, np.uint32), values)
 
 
 class Workspace(Keeper):
@@ -355,9 +407,10 @@ class Workspace(Keeper):
         return self.once(key, lambda: self.put(array))
 
     def events(self, batch: EventBatch) -> EventRoom:
-        """Give the events of a batch on the device, until those of another one are asked for.
+        """Give room that holds the events of a batch, until those of another one are asked for.
 
-        They are brought there once for all that `EventBatch.pick` makes of it.
+        They are brought to the device once for all that `EventBatch.pick` makes of it, with the first of the
+        sequences that work on them.
         """
         count = batch.n_events
         if count > self._room.capacity:

@@ -73,6 +73,11 @@ class EventBatch:
         parts: list[PackedEvents] = []
         pointers = [(0, 0)] * len(windows)
         begin = 0
+        for k, window in enumerate(windows):
+            if window.origin is None:
+                pointers[k] = begin, begin + len(window)
+                begin += len(window)
+                parts.append(window.packed)
         for count, members in _stretches(windows):
             for k, offset in members:
                 pointers[k] = begin + offset, begin + offset + len(windows[k])
@@ -119,16 +124,14 @@ class EventBatch:
 
 
 def _stretches(windows: Sequence[Window]) -> list[tuple[int, list[tuple[int, int]]]]:
-    """Put windows together whose events touch: how many events, and each window with its first one there.
+    """Put windows of streams together whose events touch: how many, and each window with its first one there.
 
     In each they are in order of their first event.
     """
     found: list[tuple[int, list[tuple[int, int]]]] = []
     streams: dict[int, list[tuple[int, int]]] = {}
     for k, window in enumerate(windows):
-        if window.origin is None:
-            found.append((len(window), [(k, 0)]))
-        else:
+        if window.origin is not None:
             stream, number = window.origin
             streams.setdefault(id(stream), []).append((number, k))
     for members in streams.values():

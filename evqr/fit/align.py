@@ -96,7 +96,7 @@ class Align(Step):
         workspace: Workspace, staging: Staging | None = None,
     ) -> None:  # fmt: skip
         super().__init__(workspace, staging)
-        self._images, self._max_iterations = images.device, max_iterations
+        self._images, self._max_iterations, self.rows = images.device, max_iterations, count
         self._image_idx = self._staging.input((count,), np.int32)
         _, height, width = images.device.shape
         self._image_part = self._staging.input((count, 3), np.int32, value=(0, height, width))
@@ -176,16 +176,18 @@ class Align(Step):
 
 
 class Beyond(Step):
-    """Scores what an alignment ends with by what is known outside of finder patterns: see `judged`."""
+    """Scores poses of an alignment, as they are when it runs, by other tables.
+
+    By what is known outside of finder patterns alone: see `judged`.
+    """
 
     def __init__(
         self, images: Images, poses: Align, tables: PoseTables, workspace: Workspace, staging: Staging
     ) -> None:
         super().__init__(workspace, staging)
-        count = images.device.shape[0]
         self._images, self._poses, self._tables = images.device, poses, tables.arguments
-        self._number = staging.input((count,), np.int32)
-        self._result = staging.output((count, 5))
+        self._number = staging.input((poses.rows,), np.int32)
+        self._result = staging.output((poses.rows, 5))
 
     def write(self, single: list[int], numbers: Sequence[int]) -> None:
         """Say which codes, and which of them are looked at: those with a single finder pattern."""
@@ -200,11 +202,53 @@ class Beyond(Step):
             0, self._poses.pose, self._result.device,
         )  # fmt: skip
 
+    @property
+    def score(self) -> NDArray[np.float64]:
+        """Wait for the device and give the scores."""
+        return self._result.read()[self._single, 2].astype(np.float64)
+
     def judged(self, found: Alignment) -> Alignment:
         """Wait for the device and give poses with both scores in one."""
         score, which = found.score.copy(), self._single
-        score[which] = 0.5 * (score[which] + self._result.read()[which, 2])
+        score[which] = 0.5 * (score[which] + self.score)
         return replace(found, score=score)
+
+
+class _ScoredAndRefined(Step):
+    """Scores poses as they are, and refines them, at once: to ask one by one takes a device longer."""
+
+    def __init__(
+        self, images: Images, count: int, tables: PoseTables, beyond: PoseTables | None, most: int,
+        workspace: Workspace,
+    ) -> None:  # fmt: skip
+        super().__init__(workspace)
+        self._align = Align(images, count, [tables], most, workspace, self._staging)
+        self._as_they_are, *self._beyond = (
+            Beyond(images, self._align, each, workspace, self._staging)
+            for each in (tables, beyond, beyond)
+            if each is not None
+        )
+
+    def launch(self) -> None:
+        """Launch the kernels one by one."""
+        for step in (self._as_they_are, *self._beyond[:1], self._align, *self._beyond[1:]):
+            step.launch()
+
+    def __call__(
+        self, pose: NDArray[np.float64], image_idx: NDArray[np.int32], numbers: list[int], single: list[int]
+    ) -> tuple[NDArray[np.float64], Alignment]:
+        """Give the scores of poses (N, 3, 3) as they are, and what they are refined to."""
+        self._align.write(pose, image_idx, numbers)
+        self._as_they_are.write(list(range(len(numbers))), numbers)
+        for step in self._beyond:
+            step.write(single, numbers)
+        self.run()
+        found = self._align.read()
+        before = replace(found, score=self._as_they_are.score)
+        if self._beyond:
+            first, last = self._beyond
+            return first.judged(before).score, last.judged(found)
+        return before.score, found
 
 
 def align(
@@ -324,20 +368,50 @@ def escape_side_minimum(
     levels = fine_levels(cfg)
     around = shifted(found.pose[unsure])
     around_each = [spaces[k] for k in unsure.tolist() for _ in range(9)]
-    scored = align(
-        images, around.reshape(-1, 3, 3), around_each, levels[-1:], cfg,
-        workspace=workspace, image_idx=unsure.repeat(9), max_iterations=0,
-    )  # fmt: skip
-    scores = scored.score.reshape(-1, 9)
+    given = images, around.reshape(-1, 3, 3), around_each, unsure.repeat(9), cfg
+    refined = None
+    if workspace.shared:  # most are not looked at again
+        scores = align(
+            *given[:3], levels, cfg, workspace=workspace, image_idx=given[3], max_iterations=0
+        ).score  # fmt: skip
+    else:
+        scores, refined = _scored_and_refined(*given, workspace=workspace)
+    scores = scores.reshape(-1, 9)
     best = scores.argmax(axis=1)
     rows = np.arange(len(unsure))
     better = np.flatnonzero(scores[rows, best] > found.score[unsure] + cfg.shift_gain)
     if not len(better):
         return found, escaped
     which = unsure[better]
-    again = align(
-        images, around[better, best[better]], [spaces[k] for k in which.tolist()], levels, cfg,
-        workspace=workspace, image_idx=which,
-    )  # fmt: skip
+    if refined is not None:
+        again = refined.pick(9 * better + best[better])
+    else:
+        again = align(
+            images, around[better, best[better]], [spaces[k] for k in which.tolist()], levels, cfg,
+            workspace=workspace, image_idx=which,
+        )  # fmt: skip
     escaped[which] = True
     return found.putting(which, again), escaped
+
+
+def _scored_and_refined(
+    images: Images,
+    pose: NDArray[np.float64],
+    spaces: Sequence[CodeSpace],
+    image_idx: NDArray[np.int32],
+    cfg: AlignConfig,
+    *,
+    workspace: Workspace,
+) -> tuple[NDArray[np.float64], Alignment]:
+    """Give the scores of poses as they are, and what they are refined to at the finest level."""
+    codes, (level,) = Codes.of(workspace), fine_levels(cfg)
+    numbers, count = codes.numbers(spaces), count_for(len(pose))
+    single = [k for k, space in enumerate(spaces) if space.single_pattern]
+    tables, beyond = codes.poses(level, cfg, numbers), None
+    if single:
+        beyond = codes.poses(replace(level, beyond_patterns=True), cfg, [numbers[k] for k in single])
+    step = images.once(
+        ("scored and refined", count, cfg, tables.version, beyond and beyond.version),
+        lambda: _ScoredAndRefined(images, count, tables, beyond, cfg.max_iterations, workspace),
+    )
+    return step(pose, image_idx, numbers, single)

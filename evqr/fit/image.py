@@ -53,7 +53,7 @@ class Deposit(Step):
     def __init__(
         self, events: EventRoom, cells: Cells, workspace: Workspace, staging: Staging | None = None
     ) -> None:
-        super().__init__(workspace, staging)
+        super().__init__(workspace, staging, events)
         count = cells.device.shape[0]
         self._events, self._cells = events, cells.device
         self._ptr = self._staging.input((count, 2), np.int32)

@@ -74,7 +74,7 @@ def estimate_lags(
     events, cells = workspace.events(batch), cells_for(regions, workspace=workspace)
     from_events = cells.take(batch, motions, regions)
     step = cells.once(
-        ("lag", from_events and events.capacity, tables.version, cfg.align, lag),
+        ("lag", from_events and events.size, tables.version, cfg.align, lag),
         lambda: _Lag(events if from_events else None, cells, tables, cfg, workspace),
     )
     cell = regions[:, 2]
@@ -116,7 +116,7 @@ class _Lag(Step):
         self, events: EventRoom | None, cells: Cells, tables: PoseTables, cfg: ReadConfig,
         workspace: Workspace,
     ) -> None:  # fmt: skip
-        super().__init__(workspace)
+        super().__init__(workspace, events=events)
         self.deposit = None if events is None else Deposit(events, cells, workspace, self._staging)
         blur, corners = cfg.align.blur_cells, len(CORNERS)
         self.corners = Sharpen(cells, blur, workspace, self._staging, each=corners)

@@ -80,7 +80,7 @@ class Measure(Step):
         self, events: EventRoom | None, cells: Cells, poses: PoseTables, beyond: PoseTables | None,
         modules: ModuleTables, room: tuple[int, int], cfg: ReadConfig, workspace: Workspace, *, solved: bool,
     ) -> None:  # fmt: skip
-        super().__init__(workspace)
+        super().__init__(workspace, events=events)
         one, count, staging = cfg.align, cells.device.shape[0], self._staging
         self._least_score = one.min_score
         self._deposit = None if events is None else Deposit(events, cells, workspace, staging)
@@ -183,7 +183,7 @@ def measuring(
     room, solved = codes.room(numbers), any(each is not None for each in before)
     tables = poses.version, beyond and beyond.version, modules.version
     step = cells.once(
-        ("measure", from_events and events.capacity, room, *tables, solved, cfg.align, cfg.modules),
+        ("measure", from_events and events.size, room, *tables, solved, cfg.align, cfg.modules),
         lambda: Measure(
             events if from_events else None, cells, poses, beyond, modules, room, cfg, workspace,
             solved=solved,

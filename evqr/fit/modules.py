@@ -216,7 +216,7 @@ class Equations(Step):
         across, down, mixed = self._products
         a_u, a_v = gain[:, 0, None, None], gain[:, 1, None, None]
         stencil = a_u * a_u * across + a_v * a_v * down + a_u * a_v * mixed
-        return _equations(spaces, closed(stencil), closed(self._rhs.read()[: len(spaces)].copy()))
+        return _equations(spaces, closed(stencil), closed(_needed(self._rhs.read(), spaces).copy()))
 
     def windows(self) -> Windows:
         """Give what the windows say, on the device."""
@@ -234,6 +234,18 @@ def _equations(
         NormalEquations.trusted(space=space, stencil=own, rhs=seen)
         for space, own, seen in zip(spaces, stencil, _parts(rhs, spaces, around=True), strict=True)
     ]
+
+
+def _needed(room: NDArray[Any], spaces: Sequence[CodeSpace]) -> NDArray[Any]:
+    """Give what codes lie in of arrays in which there is room for more, and for larger ones."""
+    rows, columns = map(max, zip(*map(_around, set(spaces)), strict=True))
+    return room[: len(spaces), :rows, :columns]
+
+
+@functools.cache
+def _around(space: CodeSpace) -> tuple[int, int]:
+    """Rows and columns of a code with its quiet zone."""
+    return space.rows + 2 * quiet_modules(space), space.columns + 2 * quiet_modules(space)
 
 
 def _parts(room: NDArray[Any], spaces: Sequence[CodeSpace], *, around: bool) -> list[NDArray[Any]]:
@@ -330,9 +342,15 @@ class Solution(Step):
                 seen.setdefault(size, []).append(k)
         for (rows, columns), places in seen.items():
             them = [each for each in map(before.__getitem__, places) if each is not None]
-            weight = np.array([weights[k] for k in places])[:, None, None] if weights else np.float32(1.0)
-            rhs[places, :rows, :columns] = weight * np.stack([each.rhs for each in them])
-            stencil[places] = weight * np.stack([each.stencil for each in them])
+            which: Any = places
+            if places[-1] - places[0] + 1 == len(places):  # most often: then nothing is looked up by index
+                which = slice(places[0], places[-1] + 1)
+            seen_rhs = np.concatenate([each.rhs for each in them]).reshape(-1, rows, columns)
+            seen_stencil = np.concatenate([each.stencil for each in them]).reshape(-1, *stencil.shape[1:])
+            if weights:
+                weight = np.array([weights[k] for k in places])[:, None, None]
+                seen_rhs, seen_stencil = weight * seen_rhs, weight * seen_stencil
+            rhs[which, :rows, :columns], stencil[which] = seen_rhs, seen_stencil
         self._least.write(scores)
 
     def launch(self) -> None:
@@ -357,11 +375,12 @@ class Solution(Step):
 
     def read(self, spaces: Sequence[CodeSpace]) -> list[CodeEstimate]:
         """Wait for the device and give the modules of each code."""
-        q = closed(self._q.read()[: len(spaces)] + np.float32(1.0))
+        q = closed(_needed(self._q.read(), spaces) + np.float32(1.0))
         iterations = functools.reduce(np.add, [mirror.read() for mirror in self._iterations]).tolist()
         count = len(spaces)
         peak = self._peak.read()[:count, None, None]
-        rhs, stencil = (closed(peak * mirror.read()[:count]) for mirror in self._sum)
+        sums, matrices = (mirror.read()[:count] for mirror in self._sum)
+        rhs, stencil = closed(peak * _needed(sums, spaces)), closed(peak * matrices)
         return [
             CodeEstimate.trusted(q=inner, iterations=taken, equations=equations)
             for inner, taken, equations in zip(

@@ -98,7 +98,7 @@ class Finder(Keeper):
         workspace: Workspace,
     ) -> None:
         self._backend, self._cfg = workspace.backend, cfg
-        self._staging = staging = Staging(workspace)
+        self._staging = staging = Staging(workspace, events)
         self.pyramid = Pyramid(events, count, rows, columns, cfg, workspace, staging)
         side = 2 * cfg.half + 1
         self._basis = staging.input((count, side, side, TERMS))
@@ -247,7 +247,7 @@ def finding(
     regions = [busy_region(window, cfg) for window in batch.windows]
     rows, columns = (max(sides) for sides in zip(*((r.height, r.width) for r in regions), strict=True))
     finder = workspace.once(
-        ("finder", events.capacity, count, rows, columns, cfg),
+        ("finder", events.size, count, rows, columns, cfg),
         lambda: Finder(events, count, rows, columns, cfg, workspace),
     )
     finder.write(batch, motions, regions, lags_px or [None] * len(batch))

@@ -77,7 +77,7 @@ class _Correlator:
         self, events: EventRoom, count: int, height: int, width: int, reduction: int, radius: int,
         half: float, cfg: MotionConfig, workspace: Workspace,
     ) -> None:  # fmt: skip
-        backend, shifts, staging = workspace.backend, 2 * radius + 1, Staging(workspace)
+        backend, shifts, staging = workspace.backend, 2 * radius + 1, Staging(workspace, events)
         self._ptr, self._quiet = staging.input((2 * count, 2), np.int32), staging.input((count, 2))
         self._peak, self._energy = staging.output((count, 3)), staging.output((count, 2))
         halves = workspace.empty(2 * count, height, width)
@@ -85,11 +85,10 @@ class _Correlator:
         scratch = workspace.scratch("motion_correlation", B=count, Y=height, X=width, radius=radius)
         surface = workspace.empty(count, shifts, shifts)
         blurred = workspace.scratch("surface_peak", B=count, N=shifts)
-        columns = events.x, events.y, events.stamp, self._ptr.device
 
         def launch() -> None:
             backend.clear(halves)
-            backend.bin_packed_events(*columns, reduction, halves)
+            backend.bin_packed_events(events.x, events.y, events.stamp, self._ptr.device, reduction, halves)
             backend.motion_correlation(
                 pairs, self._quiet.device, cfg.clip, radius, *scratch, surface, self._energy.device
             )
@@ -218,7 +217,7 @@ def _correlate(
     width = -(-max(sample.window.width for sample in samples) // reduction)
     radius = reach + taps_beside(half)
     correlate = workspace.once(
-        ("motion", events.capacity, count, height, width, reduction, radius, half, cfg.clip),
+        ("motion", events.size, count, height, width, reduction, radius, half, cfg.clip),
         lambda: _Correlator(events, count, height, width, reduction, radius, half, cfg, workspace),
     )
     return correlate(samples, batch)

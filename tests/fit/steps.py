@@ -23,7 +23,7 @@ def deposited(batch, motions, regions, *, workspace):
     motions, regions = Motions.of(motions), regions_of(regions)
     cells, events = cells_for(regions, workspace=workspace), workspace.events(batch)
     if cells.take(batch, motions, regions):
-        step = cells.once(("deposit", events.capacity), lambda: Deposit(events, cells, workspace))
+        step = cells.once(("deposit", events.size), lambda: Deposit(events, cells, workspace))
         step.write(batch, motions, regions)
         step.run()
     return cells
