@@ -86,6 +86,22 @@ class Motion(Value):
         """The velocity (2,), divided by its length; 0 where nothing moves."""
         return self.velocity / max(self.speed, SLOWEST_PX_PER_S)
 
+    def across_px(self, width: int, height: int) -> float:
+        """Give how far it is across an image along the velocity.
+
+        Parameters
+        ----------
+        width, height : int [px]
+            Of the image.
+
+        Returns
+        -------
+        way : float [px]
+            From one border through the middle to the other.
+        """
+        along_x, along_y = np.abs(self.direction).tolist()
+        return min(width / max(along_x, 1e-9), height / max(along_y, 1e-9))
+
     @property
     def slope(self) -> NDArray[np.float64]:
         """A (2, 2): how the velocity changes with the position [1/s]."""

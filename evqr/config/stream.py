@@ -20,13 +20,17 @@ class SchedulerConfig(Settings):
         Longest time between two searches. Chosen: what is in view now may be slow, and a fast code may come.
     seldom : float
         How much less often is searched while a code that was read is followed. Chosen.
-    most_seldom : float
-        How much less often is searched at most: half as often after each search in which something moved and
-        no code was found. Chosen: a code that enters the image is found within 40 px.
+    searches_across : int
+        How often is searched at least while something crosses the image: half as often after each search in
+        which something moved and no code was read, up to that. Chosen: the first few miss nothing that
+        enters, and a code that fills a third of the way is wholly in view in five.
     every_kind : int
-        Of so many searches in a row in which something moves and no code is found, one is for all kinds of
+        Of so many searches in a row in which something moves and no code is read, one is for all kinds of
         symbols that are asked for, for tilted QR codes and for small modules, the others for QR and Micro QR
         codes. Chosen: a search for all takes several times as long where there is no code.
+    given_up_across : float
+        How far something that was given up goes until it is searched again, as a share of the way across the
+        image. Chosen: what cannot be read is followed twice as it passes.
     codes_a_search : int
         Codes that one search finds at most. Chosen.
     margin_modules : float [modules]
@@ -52,8 +56,9 @@ class SchedulerConfig(Settings):
     unknown_us: Count = 2_000
     longest_us: Count = 20_000
     seldom: Annotated[float, Range(least=1.0)] = 2.0
-    most_seldom: Annotated[float, Range(least=1.0)] = 4.0
+    searches_across: Count = 8
     every_kind: Count = 2
+    given_up_across: NotNegative = 0.5
     codes_a_search: Count = 16
     margin_modules: NotNegative = 4.0
     same_place: Positive = 0.5
@@ -84,14 +89,14 @@ class TrackConfig(Settings):
     patience : int [windows]
         Without a reading, after which a code that agrees badly with its known modules is given up. Chosen.
     single_patience : int [windows]
-        The same for a symbol with a single finder pattern. Chosen: it may be another size of the symbol,
-        which a search that knows the motion better tells, or the corner of another code.
+        The same for a symbol with a single finder pattern, or found by edges. Chosen: it may be another size
+        of the symbol, which a search that knows the motion better tells, the corner of another code, or an
+        edge of anything.
+    good_patience : int [windows]
+        The same for any code, however well it agrees. Chosen: slow pixels were seen to take 17 windows, and
+        a print that looks like a code takes no more.
     max_misses : int [windows]
         In a row without the code, after which it is lost. Chosen.
-    eager : int [windows]
-        Without a reading, after which a code is followed from then on at times ever farther apart, so many
-        while the time since it was found grows to 2.7 times. Chosen: a print that looks like a code takes a
-        quarter of the time.
     """
 
     baseline: Annotated[int, Range(least=2)] = 8
@@ -100,5 +105,5 @@ class TrackConfig(Settings):
     good_found_again: tuple[Count, ...] = (2, 3, 4, 5, 6, 8, 10, 12, 16, 24, 32)
     patience: Count = 16
     single_patience: Count = 4
+    good_patience: Count = 32
     max_misses: Count = 2
-    eager: Count = 32

@@ -112,6 +112,7 @@ class StreamScheduler:
         self, solvers: list[Solver], width: int, height: int, *, pool: Executor | None = None
     ) -> None:
         self._config = solvers[0].config
+        self._size = width, height
         self._solvers = solvers
         self._solver = solvers[0]
         self._pool = pool if len(solvers) > 1 else None
@@ -316,7 +317,7 @@ class StreamScheduler:
         """Let go of what no activity may ask for: the search alone goes back, by its longest window."""
         self._events.forget(before_us - self._config.motion.longest_us)
         self._known.forget(before_us)
-        self._lost = [track for track in self._lost if track.detection.time_us > before_us]
+        self._lost = [track for track in self._lost if self._until_us(track) > before_us]
 
     def _search_from(self, at_us: int) -> None:
         """Search from a time on, instead of from a later one."""
@@ -379,9 +380,8 @@ class StreamScheduler:
                 continue
             self._searches += 1
             self._windows += tried.window is not None
+            self._vain = self._vain + 1 if tried.window is not None else 0  # until a code is read
             yield from self._take(tried)
-            vain = tried.window is not None and isinstance(tried.found, NotFound)
-            self._vain = self._vain + 1 if vain else 0
         motion, start_us = tries[last].motion, tries[last].start_us
         self._motion = motion
         if tries[last].silent:
@@ -414,8 +414,9 @@ class StreamScheduler:
         """Time between two searches [us]."""
         cfg = self._config.scheduler
         sure = any(track.reading is not None for track in self._tracks)
-        times = (cfg.seldom if sure else 1.0) * 2.0 ** min(max(self._vain - 1, 0), 16)
-        travel = self._config.search_px * min(times, cfg.most_seldom)
+        times = (cfg.seldom if sure else 1.0) * 2.0 ** min(self._vain // 2, 16)
+        least = self._config.search_px
+        travel = min(times * least, max(least, motion.across_px(*self._size) / cfg.searches_across))
         step = max(self._solver.window_us(motion), round(motion.travel_time_us(travel)))
         return min(step, cfg.longest_us)
 
@@ -515,9 +516,19 @@ class StreamScheduler:
 
     def _outside_tracks(self, window: Window) -> Window:
         """Give a window without the events of the codes that are, or were in it, followed already."""
-        lately = (track for track in self._lost if window.start_us < track.detection.time_us)
+        lately = (track for track in self._lost if window.start_us < self._until_us(track))
         targets = [track.detection.target for track in (*self._tracks, *lately)]
         return outside(window, targets, self._config.scheduler.margin_modules)
+
+    def _until_us(self, track: Track) -> float:
+        """Give until when the events of a code that is not followed any more are its own [us]."""
+        detection = track.detection
+        if not track.given_up:
+            return detection.time_us
+        across_px = detection.motion.across_px(*self._size)
+        return detection.time_us + detection.motion.travel_time_us(
+            self._config.scheduler.given_up_across * across_px
+        )
 
     # ---- following
 
@@ -547,7 +558,8 @@ class StreamScheduler:
                 heapq.heappush(self._waiting, waiting._replace(start_us=start_us, end_us=end_us))
                 return
         self._finish(track)
-        if waiting.start_us < self._search_us:  # where one code has gone the next may be
+        if track.reading is not None and waiting.start_us < self._search_us:
+            # where one code has gone the next may be; what was given up would only be found again
             self._search_from(waiting.start_us)
 
     def _merge_with_earlier(self, track: Track) -> None:
@@ -560,6 +572,7 @@ class StreamScheduler:
             return
         if any(target.tau_us):  # of the sensor and its light, so the next code will lag as much
             self._tau_us = target.tau_us
+        self._vain = 0
         track.code, again = self._known.merge_with_earlier(track.reading, target)
         self._unread.read(target)
         if not again:

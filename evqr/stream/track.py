@@ -14,6 +14,7 @@ from evqr.fit.certainty import dark, unclear
 from evqr.fit.detection import Detection, NotFound
 from evqr.fit.fusion import Fusion, Solving
 from evqr.fit.modules import CodeEstimate, NormalEquations
+from evqr.fit.outside import inside
 from evqr.geometry import bounds, module_px
 from evqr.grade import grade_reading
 from evqr.motion import Motion
@@ -21,6 +22,8 @@ from evqr.results import CodeReading
 from evqr.solver import Solver
 from evqr.stream.records import CodeUnread
 from evqr.symbol.decoded import Decoded, DecodeFailure
+from evqr.symbol.space import Landmark
+from evqr.symbology import BY_THREE_PATTERNS
 from evqr.work import Decode, Find, Follow, Solve, Working, decoded
 
 T = TypeVar("T")
@@ -38,6 +41,9 @@ same."""
 
 FEW = 8
 """Windows after each of which decoding is tried; later once there are an eighth more."""
+
+AROUND = 0.5
+"""How far around it is searched for it beyond its quiet zone, in its sizes: it may be a larger one."""
 
 BETTER = 0.05
 """A code that was found again and agrees better by so much was not right before: its windows do not count."""
@@ -131,12 +137,23 @@ class Track:
     @property
     def lost(self) -> bool:
         """Whether the code is out of sight, or was none."""
-        single = self.detection.space.single_pattern
-        patience = self._cfg.single_patience if single else self._cfg.patience
-        if self.reading is None and self._tries >= patience:
-            if self.detection.score < self._solver.config.align.good_score:
-                return True
-        return self._misses >= self._cfg.max_misses
+        cfg, space = self._cfg, self.detection.space
+        if self._misses >= cfg.max_misses or self.given_up:
+            return True
+        # straight edges, and one pattern, are soon found by chance
+        by_chance = space.single_pattern or space.anchors[0].kind is Landmark.SOLID_CORNER
+        return by_chance and self._in_vain(cfg.single_patience)
+
+    @property
+    def given_up(self) -> bool:
+        """Whether it was there all the time, and cannot be read."""
+        cfg = self._cfg
+        return self._in_vain(cfg.patience) or (self.reading is None and self._tries >= cfg.good_patience)
+
+    def _in_vain(self, patience: int) -> bool:
+        """Whether it agrees badly after so many windows without a reading."""
+        bad = self.detection.score < self._solver.config.align.good_score
+        return bad and self.reading is None and self._tries >= patience
 
     def next_window(self) -> tuple[int, int]:
         """Give the bounds of the next window [us]; it begins after the middle of the last that showed it."""
@@ -144,10 +161,8 @@ class Track:
         length = self._solver.window_us(motion)
         if self.reading is not None:
             step = max(length, round(motion.travel_time_us(self._solver.config.follow_px)))
-        elif self._misses:
-            step = 2 * length
-        else:  # what was followed in vain for long will hardly be read by the next window
-            step = max(length, (self.last_us - self.first_us) // self._cfg.eager)
+        else:
+            step = 2 * length if self._misses else length
         middle = self.detection.time_us + step * (1 + self._misses)
         start = round(middle - length / 2)
         return start, start + length
@@ -209,8 +224,12 @@ class Track:
 
         Only three finder patterns say so much: straight edges, or one pattern, are soon found by chance.
         """
-        good = self.detection.score >= self._solver.config.align.good_score
-        return good and len(self.detection.space.anchors) > 1
+        return self._is_by_three and self.detection.score >= self._solver.config.align.good_score
+
+    @property
+    def _is_by_three(self) -> bool:
+        """Whether it was found by three finder patterns."""
+        return len(self.detection.space.anchors) > 1
 
     def _decode(self) -> Working[None]:
         """Add the newest window, and decode the sum of all; else what agrees with it, and it alone."""
@@ -256,7 +275,10 @@ class Track:
 
     def _find_again(self, window: Window) -> Working[None]:
         """Search for the code from cold: what went wrong stays wrong while the code is followed."""
-        (codes,) = yield [Find(window, self.detection.motion)]
+        target, asked = self.detection.target, self._solver.config.symbologies
+        margin = self._solver.config.scheduler.margin_modules + AROUND * target.space.size
+        kinds = tuple(kind for kind in asked if not self._is_by_three or kind in BY_THREE_PATTERNS)
+        (codes,) = yield [Find(inside(window, target, margin), target.motion, None, kinds)]
         if isinstance(codes, NotFound):
             self._clock.add(codes.timings_ms)
             return
