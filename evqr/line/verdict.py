@@ -17,6 +17,9 @@ STILL = (Reason.NOTHING_MOVES, Reason.TOO_FEW_EVENTS, Reason.NO_EVENTS)
 LAG_MODULES = 1.5
 """Pixels that lag by so many modules see neighbours as one."""
 
+ALL_CLEAR = 0.9
+"""Share of clear modules from which on they were not blurred: the lag was fitted to what is no code."""
+
 
 @dataclass(frozen=True)
 class Verdict:
@@ -95,7 +98,7 @@ def _seen(code: CodeUnread, size: tuple[int, int]) -> Verdict:
     if not any(_inside(code, time_us, size) for time_us in (code.t_first_us, target.time_us, code.t_last_us)):
         return Verdict(Reason.PARTLY_IN_VIEW, how, code, motion)
     lag = max(target.lag_px) / module_px(target.pose, target.space.shape)
-    if lag > LAG_MODULES:
+    if lag > LAG_MODULES and code.clear_modules < ALL_CLEAR:
         return Verdict(Reason.TOO_FAST, f"pixels lag by {lag:.1f} modules, {how}", code, motion)
     return Verdict(Reason.NOT_DECODED, f"{how}: {code.failure}", code, motion)
 
