@@ -201,7 +201,7 @@ class Scripted:
         yield start_us, start_us + (100 if solver.searches == 1 else 30_000)
         return MotionEstimate(solver.motion, 0.5) if solver.searches == 1 else NotFound(Reason.NOTHING_MOVES)
 
-    def find(self, batch, motions, *, tau_us=None, symbologies=None):
+    def find(self, batch, motions, *, tau_us=None, symbologies=None, thorough=True):
         self.finds += 1
         if self.finds > 1:
             return [NotFound(Reason.DISAGREES)]
@@ -286,7 +286,7 @@ class Vain:
     def motions(self, windows, *, reduction=None, thorough=True):
         return [NotFound(Reason.NOTHING_MOVES) for _ in windows]
 
-    def find(self, batch, motions, *, tau_us=None, symbologies=None):
+    def find(self, batch, motions, *, tau_us=None, symbologies=None, thorough=True):
         return [NotFound(Reason.DISAGREES)]
 
 
