@@ -32,7 +32,8 @@ from numpy.typing import NDArray
 
 from evqr.fit.detection import Detection
 from evqr.fit.model import quiet_modules
-from evqr.fit.modules import REACH, CodeEstimate, NormalEquations
+from evqr.fit.modules import CodeEstimate, NormalEquations
+from evqr.fit.varying import apply_stencils
 from evqr.geometry import module_px
 from evqr.symbol.decoded import Decoded
 from evqr.symbol.space import CodeSpace
@@ -226,14 +227,14 @@ def all_modules(equations: NormalEquations, modules: NDArray[np.int8]) -> NDArra
     """
     quiet, stencil = quiet_modules(equations.space), equations.stencil.astype(np.float64)
     from_light = np.pad(modules.astype(np.float64) - 1.0, quiet)
-    left: NDArray[np.float64] = -equations.rhs.astype(np.float64) - _times(stencil, from_light)
+    left: NDArray[np.float64] = -equations.rhs.astype(np.float64) - apply_stencils(stencil, from_light)
     # conjugate gradients on (N + DEVIATES) off = left
     off, step = np.zeros_like(left), left.copy()
     power = float((left * left).sum())
     for _ in range(STEPS):
         if power <= 1e-12:
             break
-        image = _times(stencil, step) + DEVIATES * step
+        image = apply_stencils(stencil, step) + DEVIATES * step
         rate = power / float((step * image).sum())
         off += rate * step
         left = left - rate * image
@@ -241,17 +242,6 @@ def all_modules(equations: NormalEquations, modules: NDArray[np.int8]) -> NDArra
         step = left + power / before * step
     rows, columns = modules.shape
     return modules + off[quiet : quiet + rows, quiet : quiet + columns]
-
-
-def _times(stencil: NDArray[np.float64], image: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Give the product of a normal matrix, of a stencil, with an image; nothing lies beyond its edges."""
-    rows, columns = image.shape
-    padded, total = np.pad(image, REACH), np.zeros_like(image)
-    for i, row in enumerate(stencil.tolist()):
-        for j, factor in enumerate(row):
-            if factor:
-                total += factor * padded[i : i + rows, j : j + columns]
-    return total
 
 
 def _at_least(value: float, levels: Sequence[float]) -> int:

@@ -36,6 +36,7 @@ from evqr.work import (
     Decode,
     Estimate,
     Find,
+    FindTurning,
     Solve,
     Working,
     answer,
@@ -496,7 +497,14 @@ def _reading(start: _Start, solver: Solver) -> Activity[WindowReading]:
             clock.add(found.timings_ms)
         else:
             clock.add(found[0].timings_ms)
-            codes = yield from _codes(found[: cfg.scheduler.codes_a_search], window, solver, clock)
+            found = found[: cfg.scheduler.codes_a_search]
+            codes = yield from _codes(found, window, solver, clock)
+        if not any(code.status is ReadStatus.READ for code in codes):
+            first = () if isinstance(found, NotFound) else found
+            (turning,) = yield [FindTurning(window, moving.motion, first)]
+            if turning:
+                clock.add(turning[0].timings_ms)
+                codes = (yield from _codes(turning, window, solver, clock, grids=2)) or codes
     codes.sort(key=lambda code: code.status is not ReadStatus.READ)  # the sort is stable
     if codes:
         status, reason, reason_code = codes[0].status, codes[0].reason, codes[0].reason_code
@@ -518,10 +526,10 @@ def _reading(start: _Start, solver: Solver) -> Activity[WindowReading]:
 
 
 def _codes(
-    found: Sequence[Detection], window: Window, solver: Solver, clock: StageClock
+    found: Sequence[Detection], window: Window, solver: Solver, clock: StageClock, *, grids: int = 1
 ) -> Working[list[WindowCode]]:
-    """Read codes that were found in a window."""
-    decode = solver.config.decode
+    """Read codes that were found in a window, as one of so many grids."""
+    decode = solver.config.decode.among(grids)
     estimates = yield [Solve(code, clock) for code in found]
     outcomes = yield from decoded(
         [

@@ -94,6 +94,24 @@ class Follow(NamedTuple):
     before: NormalEquations | None = None
 
 
+class FindTurning(NamedTuple):
+    """Ask for codes that turn: tuple of Detection.
+
+    Attributes
+    ----------
+    window : Window
+        Where.
+    motion : Motion
+        As of `Solver.find_turning`.
+    found : tuple of Detection
+        As of `Solver.find_turning`.
+    """
+
+    window: Window
+    motion: Motion
+    found: tuple[Detection, ...] = ()
+
+
 class Solve(NamedTuple):
     """Ask for the modules of a code: CodeEstimate.
 
@@ -148,9 +166,9 @@ class Await(NamedTuple):
     clock: StageClock
 
 
-Work: TypeAlias = Estimate | Find | Follow | Solve | Decode | Await
+Work: TypeAlias = Estimate | Find | FindTurning | Follow | Solve | Decode | Await
 
-KINDS = (Estimate, Find, Follow, Solve, Decode, Await)
+KINDS = (Estimate, Find, FindTurning, Follow, Solve, Decode, Await)
 """Kinds of work, in the order of the stages: nobody waits for a grid while there is anything else to do."""
 
 Working: TypeAlias = Generator["list[Work]", "list[Any]", T]
@@ -319,7 +337,7 @@ def do(works: list[Any], solver: Solver, pool: Executor | None = None) -> list[A
 
     Parameters
     ----------
-    works : list of Estimate, Find, Follow, Solve, Decode or Await
+    works : list of Estimate, Find, FindTurning, Follow, Solve, Decode or Await
         All of one kind.
     solver, pool : as for `answer`
         The same.
@@ -334,6 +352,8 @@ def do(works: list[Any], solver: Solver, pool: Executor | None = None) -> list[A
         return _estimated(works, solver)
     if kind is Find:
         return _found(works, solver)
+    if kind is FindTurning:
+        return [solver.find_turning(*work) for work in works]
     if kind is Follow:
         batch = EventBatch.of([work.window for work in works])
         detections, before = [work.detection for work in works], [work.before for work in works]

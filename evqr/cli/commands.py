@@ -155,6 +155,11 @@ def convert(recording: Path, output: Path, opening: RecordingOptions, force: boo
     show_default=True,
     help="The sensor and the light.",
 )
+@click.option(
+    "--turn-radius-px",
+    type=float,
+    help="It turns with a turntable, so far from the axis; default: straight [px].",
+)
 @click.option("--tilt", type=float, default=0.0, show_default=True, help="Of the object's plane [deg].")
 @click.option("--invert", is_flag=True, help="Print light on dark.")
 @click.option("--gs1", is_flag=True, help="Texts are GS1 messages, as (01)09506000134352(10)LOT42.")
@@ -190,6 +195,7 @@ def simulate(
     speed_px_ms: float | None,
     module_px: float,
     preset: str,
+    turn_radius_px: float | None,
     tilt: float,
     invert: bool,
     gs1: bool,
@@ -231,6 +237,7 @@ def simulate(
             speed_px_ms=speed_px_ms,
             module_px=module_px,
             preset=preset,
+            turn_radius_px=turn_radius_px,
             tilt=tilt,
             invert=invert,
             gs1=gs1,

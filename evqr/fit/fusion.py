@@ -55,11 +55,11 @@ def misfit(weighted: NormalEquations, q: NDArray[np.float32]) -> float:
     rows, columns = weighted.rhs.shape
     from_light = np.pad(q.astype(np.float64) - 1.0, quiet + REACH)  # the quiet zone is light
     left = weighted.rhs.copy()
-    for i, row in enumerate(weighted.stencil.tolist()):
+    for i, row in enumerate(weighted.stencil):
         for j, factor in enumerate(row):
             left += factor * from_light[i : i + rows, j : j + columns]
     inside = left[quiet : rows - quiet, quiet : columns - quiet][~weighted.space.known]
-    return float(np.square(inside).mean()) / max(float(weighted.stencil[REACH, REACH]), 1e-12)
+    return float(np.square(inside).mean()) / max(weighted.information, 1e-12)
 
 
 class _Sum:
@@ -105,7 +105,7 @@ class _Sum:
         if self._vote is Vote.MODE:
             ballot, weight = np.sign(alone.q).astype(np.float64), 1.0
         else:
-            weight = max(float(np.trace(weighted.stencil)), 1e-12)
+            weight = max(float(np.mean(np.trace(weighted.stencil))), 1e-12)
             ballot = weight * alone.q.astype(np.float64)
         votes = ballot if self._votes is None else self._votes + ballot
         self._votes = votes
@@ -201,9 +201,7 @@ class Fusion:
             off = misfit(weighted, group.estimate.q)
             if off < least:
                 best, least = group, off
-        if best is None or least > max(
-            NOISE_EXPLAINS, MODULES_DIFFER * float(weighted.stencil[REACH, REACH])
-        ):
+        if best is None or least > max(NOISE_EXPLAINS, MODULES_DIFFER * weighted.information):
             best = _Sum(self._vote)
             del self._groups[: max(0, len(self._groups) - MOST_GROUPS + 1)]
         else:

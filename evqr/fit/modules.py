@@ -26,6 +26,7 @@ from evqr.fit.align import Align
 from evqr.fit.image import count_for
 from evqr.fit.model import profiles, quiet_modules
 from evqr.fit.tables import REACH, Codes, ModuleTables
+from evqr.fit.varying import solve_varying
 from evqr.symbol.space import CodeSpace, closed
 from evqr.values import Value
 from evqr.workspace import Images, Staging, Step, Workspace
@@ -50,7 +51,8 @@ class NormalEquations(Value):
     space : CodeSpace
         Whose modules they are.
     stencil : (2 REACH + 1, 2 REACH + 1) float
-        A^T A.
+        A^T A, alike for all modules; or (2 REACH + 1, 2 REACH + 1, V + 2 quiet, U + 2 quiet), that of each
+        module of a code that turns (`evqr.fit.varying`).
     rhs : (V + 2 quiet, U + 2 quiet) float
         A^T e; ``quiet`` are the modules of quiet zone on each side, `evqr.fit.model.quiet_modules`.
     """
@@ -80,13 +82,27 @@ class NormalEquations(Value):
         """Whether nothing was seen: A^T A, and with it A^T e, is 0."""
         return self.stencil.item(self.stencil.size // 2) == 0.0
 
+    @property
+    def varies(self) -> bool:
+        """Whether each module has a stencil of its own."""
+        return self.stencil.ndim > 2
+
+    @property
+    def information(self) -> float:
+        """What is known of a module whose neighbours are known: one over the variance of its estimate."""
+        own = self.stencil[REACH, REACH]
+        return float(own.mean()) if self.varies else float(own)
+
     def __post_init__(self) -> None:
         # not copied: they are nobody else's
         self.stencil.setflags(write=False)
         self.rhs.setflags(write=False)
 
     def __add__(self, other: NormalEquations) -> NormalEquations:
-        return NormalEquations(self.space, self.stencil + other.stencil, self.rhs + other.rhs)
+        mine, others = self.stencil, other.stencil
+        if self.varies != other.varies:
+            mine, others = (each if each.ndim > 2 else each[..., None, None] for each in (mine, others))
+        return NormalEquations(self.space, mine + others, self.rhs + other.rhs)
 
     def weighted(self, noise: float) -> NormalEquations:
         """Give the same equations with the weight that they deserve.
@@ -147,7 +163,7 @@ class CodeEstimate(Value):
     @property
     def information(self) -> float:
         """What is known of a module whose neighbours are known: one over the variance of its estimate."""
-        return float(self.equations.stencil[REACH, REACH])
+        return self.equations.information
 
 
 @dataclass(frozen=True, eq=False)
@@ -180,6 +196,13 @@ def _profile_tables(sigma: float, samples: int) -> tuple[NDArray[np.float64], ..
     return b, slope, correlate(b, b), correlate(slope, slope), correlate(b, slope)
 
 
+def profile_products(sigma: float, samples: int) -> tuple[NDArray[np.float64], ...]:
+    """Give what a normal matrix is made of, each (2 REACH + 1, 2 REACH + 1): of a_u^2, a_v^2 and a_u a_v."""
+    *_, bb, ss, bs = _profile_tables(sigma, samples)
+    mixed = np.outer(bs, bs[::-1])
+    return np.outer(bb, ss), np.outer(ss, bb), mixed + mixed.T
+
+
 class Equations(Step):
     """Right-hand sides of windows' normal equations, for the poses and gains that an alignment ends with."""
 
@@ -191,9 +214,8 @@ class Equations(Step):
         count = images.device.shape[0]
         rows, columns = room
         self._image, self._poses, self._tables = images.device, poses, tables
-        b, slope, bb, ss, bs = _profile_tables(sigma, cfg.samples)
-        mixed = np.outer(bs, bs[::-1])
-        self._products = np.outer(bb, ss), np.outer(ss, bb), mixed + mixed.T
+        b, slope, *_ = _profile_tables(sigma, cfg.samples)
+        self._products = profile_products(sigma, cfg.samples)
         self._products_there = workspace.put(np.array(self._products, np.float32))
         self._profile, self._slope = (workspace.put(f.astype(np.float32)) for f in (b, slope))
         self._samples = cfg.samples
@@ -427,6 +449,27 @@ def solve_modules(
     estimates : list of CodeEstimate
         Of all modules of each.  None depends on the others.
     """
+    weights = weights or [1.0] * len(equations)
+    alike = [k for k, each in enumerate(equations) if not each.varies]
+    on_device = iter(
+        _solved_alike([equations[k] for k in alike], cfg, [weights[k] for k in alike], workspace)
+    )
+    return [
+        _solved_varying(each.scaled(weight), cfg) if each.varies else next(on_device)
+        for each, weight in zip(equations, weights, strict=True)
+    ]
+
+
+def _solved_varying(equations: NormalEquations, cfg: ModulesConfig) -> CodeEstimate:
+    """Solve for the modules of a code that turns."""
+    q, iterations = solve_varying(equations.rhs, equations.stencil, equations.space, cfg)
+    return CodeEstimate(q, iterations, equations)
+
+
+def _solved_alike(
+    equations: Sequence[NormalEquations], cfg: ModulesConfig, weights: Sequence[float], workspace: Workspace
+) -> list[CodeEstimate]:
+    """Solve for the modules of codes that are alike all over, on the device."""
     if not equations:
         return []
     codes, spaces = Codes.of(workspace), [each.space for each in equations]

@@ -199,12 +199,9 @@ class _Window:
 
     def result(self) -> tuple[Detection, ...] | NotFound:
         """Give the codes, best first, none over another; or why there is none."""
-        kept: list[Detection] = []
-        for code in sorted(self.codes or self._unconfirmed, key=lambda code: -code.score):
-            if not any(_overlap(code.target, other.target) for other in kept):
-                kept.append(code)
+        kept = apart(self.codes or self._unconfirmed)
         if kept:
-            return tuple(kept)
+            return kept
         if not self.tried:
             return NotFound(Reason.NO_FINDER_PATTERNS, f"{len(self.peaks)} candidates")
         closest, nearest = self._closest
@@ -214,6 +211,15 @@ class _Window:
             nearest = Target(best.space(0), best.pose[0], self.motion)
         detail = f"{closest:.2f}, the best of {self.tried} candidates"
         return NotFound(Reason.DISAGREES, detail, closest, nearest)
+
+
+def apart(codes: Sequence[Detection]) -> tuple[Detection, ...]:
+    """Give codes, best first, of those that lie over each other the best alone."""
+    kept: list[Detection] = []
+    for code in sorted(codes, key=lambda code: -code.score):
+        if not any(_overlap(code.target, other.target) for other in kept):
+            kept.append(code)
+    return tuple(kept)
 
 
 def _inside(

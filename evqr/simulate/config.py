@@ -148,6 +148,10 @@ class SceneConfig:
     duration_us : int [us], optional
         Length of the recording; None: 40 px of travel, or the whole passage of several codes that
         the view does not hold together.
+    turn_radius_px : float [px], optional
+        The object turns with a turntable, clockwise in the image, its centre so far from the axis; at the
+        middle of the recording, or at t = 0 where ``start`` is given, it travels in ``direction`` and its
+        codes have their angles. It turns once at most. None: it moves straight.
     tilt : float [deg]
         Of the object's plane against the image plane, below 60.
     tilt_axis : float [deg]
@@ -169,6 +173,7 @@ class SceneConfig:
     speed_px_ms: float = 4.0
     start: tuple[float, float] | None = None
     duration_us: int | None = None
+    turn_radius_px: float | None = None
     tilt: float = 0.0
     tilt_axis: float = 35.0
     focal_px: float = 1000.0
@@ -184,6 +189,8 @@ class SceneConfig:
         _require(math.isfinite(self.direction), "direction", self.direction, "a finite number of degrees")
         _require(abs(self.tilt) < 60.0, "tilt", self.tilt, "below 60 degrees")
         _require(self.duration_us is None or self.duration_us > 0, "duration_us", self.duration_us, "above 0")
+        radius = self.turn_radius_px
+        _require(radius is None or 1.0 <= radius <= 1e5, "turn_radius_px", radius, "1 to 100000 px")
         _require(self.focal_px >= 100.0, "focal_px", self.focal_px, "at least 100 px")
         _require(
             0.0 < self.black < self.white <= 1.0,

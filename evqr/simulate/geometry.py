@@ -6,11 +6,13 @@ Three frames, all in px except the first:
     object  (along, across) the direction of travel, from the object's centre
     plane   (X, Y) parallel to the image's axes where there is no tilt, from the centre of the view
 
-The object moves in its plane on a straight line, so that each pixel's path over it is a straight line too.
+The object moves in its plane on a straight line or on a circle, and turns with it as what lies on a turntable
+does, so that each pixel's path over it is a straight line or a circle too.
 """
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from typing import Any
@@ -90,20 +92,22 @@ def in_a_row(placements: Sequence[CodePlacement], direction: float) -> list[Code
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Motion:
-    """The object's straight path.
+    """The object's path.
 
     Attributes
     ----------
     plane_to_image : (3, 3) float64
         Map of the object's plane to the image, both in px.
     direction : float [deg]
-        Of travel in the plane.
+        Of travel in the plane, at t = 0.
     start : (2,) float64 [px]
         The object's centre at t = 0, in the plane.
     speed : float [px/us]
         Of travel in the plane.
     duration_us : int [us]
         Length of the recording.
+    radius : float [px]
+        Of the circle on which the object's centre travels, clockwise in the image; infinite: a straight line.
     """
 
     plane_to_image: Matrix
@@ -111,12 +115,25 @@ class Motion:
     start: NDArray[np.float64]
     speed: float
     duration_us: int
+    radius: float = math.inf
+
+    @property
+    def turns(self) -> bool:
+        """Whether the path is a circle."""
+        return math.isfinite(self.radius)
 
     def object_to_image(self, t_us: ArrayLike) -> Matrix:
         """Homographies (..., 3, 3) from the object's frame to the image at times (...) [us]."""
         heading = np.deg2rad(self.direction)
         t = np.asarray(t_us, np.float64)
         pose = np.broadcast_to(similarity(self.direction, 1.0, self.start), (*t.shape, 3, 3)).copy()
+        if self.turns:
+            turned = heading + t * self.speed / self.radius
+            cos, sin = np.cos(turned), np.sin(turned)
+            pose[..., :2, :2] = np.stack([cos, -sin, sin, cos], axis=-1).reshape(*t.shape, 2, 2)
+            pose[..., 0, 2] += self.radius * (sin - np.sin(heading))
+            pose[..., 1, 2] -= self.radius * (cos - np.cos(heading))
+            return self.plane_to_image @ pose
         pose[..., 0, 2] += t * self.speed * np.cos(heading)
         pose[..., 1, 2] += t * self.speed * np.sin(heading)
         return self.plane_to_image @ pose
@@ -153,10 +170,29 @@ def plan_motion(scene: SceneConfig, symbols: list[PrintedSymbol]) -> Motion:
             travel = float(sensor @ np.abs(heading) + 2 * np.abs(group @ heading).max())
     speed = scene.speed_px_ms / 1000.0
     duration = scene.duration_us or max(1, round(travel / speed))
-    if scene.start is None:
+    radius, direction = scene.turn_radius_px or math.inf, scene.direction
+    half_turn = 0.5 * speed * duration / radius
+    if half_turn > math.pi:
+        longest = int(2.0 * math.pi * radius / speed)
+        raise UsageError(
+            f"simulate: in {duration} us the object turns more than once; take a duration_us of at most "
+            f"{longest}"
+        )
+    if scene.start is None and scene.turn_radius_px:
+        # half of the turn puts it at the centre of the view, its travel and its codes as they were asked for
+        direction -= math.degrees(half_turn)
+        ahead = math.sin(half_turn) * heading
+        aside = (1.0 - math.cos(half_turn)) * np.array([-heading[1], heading[0]])
+        start = radius * (aside - ahead)
+    elif scene.start is None:
         start = -0.5 * speed * duration * heading
     else:
         start = transform(image_to_plane, np.asarray(scene.start, np.float64))
     return Motion(
-        plane_to_image=view, direction=scene.direction, start=start, speed=speed, duration_us=duration
+        plane_to_image=view,
+        direction=direction,
+        start=start,
+        speed=speed,
+        duration_us=duration,
+        radius=radius,
     )

@@ -1,9 +1,9 @@
 """The pixels of an event camera, one thread a pixel, on the Warp CPU device.
 
-A moving object is a texture whose rows lie along the direction of travel, so each pixel walks backwards along
-one texture row at constant speed.  The knots of its signal are the moments at which it crosses a texture
-column: the logarithm X of the light is known there, and linear in between.  In one segment of such a ramp the
-photoreceptor, a low-pass of bandwidth r [rad/us],
+A moving object is a texture whose rows lie along the direction of travel, straight or in circles, so each
+pixel walks backwards along one texture row at constant speed.  The knots of its signal are the moments at
+which it crosses a texture column: the logarithm X of the light is known there, and linear in between.  In one
+segment of such a ramp the photoreceptor, a low-pass of bandwidth r [rad/us],
 
     dY/dt = r (X - Y),
 
@@ -66,7 +66,7 @@ def walk_pixels(
     cover_across: wp.array(dtype=wp.float32),
     background: wp.array2d(dtype=wp.float32),
     pixel: wp.array2d(dtype=wp.vec3f),
-    image_to_texture: wp.mat33d,
+    begin: wp.array2d(dtype=wp.vec2d),
     clock_us: wp.vec3d,
     response: wp.vec4f,
     first_row: wp.int32,
@@ -80,7 +80,7 @@ def walk_pixels(
     cover_along, cover_across : (U,), (V,) factors of the coverage
     background : (height, width) light where the object does not cover
     pixel : (height, width, 3) threshold on, threshold off (log units), level at the start
-    image_to_texture : homography to (texture column, texture row) at the start
+    begin : (height, width) texture (column, row) that each pixel sees at the start
     clock_us : start, end, microseconds a texture column
     response : bandwidth in the dark, bandwidth per unit of light [rad/us] (both 0: no low-pass), refractory
         time [us], leak rate [1/us]
@@ -95,9 +95,8 @@ def walk_pixels(
     knot_us = clock_us[2]
 
     # The walk begins at the next texture column ahead of the pixel, or when the object's front comes.
-    at = image_to_texture * wp.vec3d(wp.float64(column), wp.float64(row), wp.float64(1.0))
-    along = at[0] / at[2]
-    across = at[1] / at[2]
+    along = begin[row, column][0]
+    across = begin[row, column][1]
     knot = wp.min(int(wp.ceil(along)), texture.shape[1] - 1)
     t = start + (along - wp.float64(knot)) * knot_us
     upper = int(wp.floor(across))

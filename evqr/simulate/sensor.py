@@ -14,7 +14,7 @@ from evqr.device import kernels_failing, kernels_on
 from evqr.events.array import EventArray
 from evqr.simulate.config import SceneConfig, SensorConfig
 from evqr.simulate.geometry import Motion
-from evqr.simulate.texture import TEXELS, Texture
+from evqr.simulate.texture import Texture
 
 #: Travel before the recording starts, in which the pixels forget their initial state [px].
 RUN_IN_PX = 10.0
@@ -84,9 +84,7 @@ def run_pixels(
     with kernels_failing():
         load_module(wp.get_module(pixel_kernel.__name__), "cpu")
     start_us = -RUN_IN_PX / motion.speed
-    to_texture = np.diag([*TEXELS, 1.0])
-    to_texture[:2, 2] = texture.origin
-    image_to_texture = to_texture @ np.linalg.inv(motion.object_to_image(start_us))
+    begin = texture.seen_by(motion, start_us, (scene.height, scene.width))
     bandwidth = 1.0 / sensor.tau_us if sensor.tau_us > 0.0 else 0.0
     response = (0.0, bandwidth) if sensor.tau_follows_light else (bandwidth, 0.0)
     still = [
@@ -95,8 +93,8 @@ def run_pixels(
         wp.array(texture.cover_across, dtype=wp.float32, device="cpu", copy=False),
         wp.array(background, dtype=wp.float32, device="cpu", copy=False),
         wp.array(pixel, dtype=wp.vec3f, device="cpu", copy=False),
-        wp.mat33d(*image_to_texture.ravel()),
-        wp.vec3d(start_us, float(motion.duration_us), 1.0 / (TEXELS[0] * motion.speed)),
+        wp.array(begin, dtype=wp.vec2d, device="cpu", copy=False),
+        wp.vec3d(start_us, float(motion.duration_us), 1.0 / texture.columns_a_us(motion)),
         wp.vec4f(*response, sensor.refractory_us, sensor.leak_hz * 1e-6),
     ]
 

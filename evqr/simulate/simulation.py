@@ -22,6 +22,7 @@ from evqr.simulate.printed import make_symbol, parts_of_a_message
 from evqr.simulate.sensor import add_noise, draw_pixels, read_out, run_pixels
 from evqr.simulate.texture import draw_background, draw_object
 from evqr.simulate.truth import truth_of
+from evqr.simulate.turntable import on_turntable
 from evqr.symbol.space import Version
 from evqr.symbology import Symbology
 
@@ -60,6 +61,7 @@ def simulate(
     speed_px_ms: float | None = None,
     module_px: float = 6.0,
     preset: str | SensorConfig = "clean",
+    turn_radius_px: float | None = None,
     tilt: float = 0.0,
     invert: bool = False,
     gs1: bool = False,
@@ -89,7 +91,7 @@ def simulate(
         The codes are the parts of one message (structured append).
     application : as in `CodePlacement`
         Of the codes.
-    direction, tilt, duration_us, start, width, height, seed : as in `SceneConfig`
+    direction, turn_radius_px, tilt, duration_us, start, width, height, seed : as in `SceneConfig`
         Of the scene.
     speed_px_ms : float [px/ms], optional
         Speed in the image; None: the preset's, of `PRESET_SPEEDS_PX_MS`, that of "clean" for a sensor of your
@@ -145,6 +147,7 @@ def simulate(
         speed_px_ms=speed_px_ms,
         start=start,
         duration_us=duration_us,
+        turn_radius_px=turn_radius_px,
         tilt=tilt,
         seed=seed,
     )
@@ -181,6 +184,8 @@ def simulate_scene(
     # Streams of their own, so that a change of the sensor leaves the scene as it is.
     scene_rng, sensor_rng = (np.random.default_rng(s) for s in np.random.SeedSequence(scene.seed).spawn(2))
     texture = draw_object(scene, symbols, scene_rng)
+    if motion.turns:
+        texture = on_turntable(texture, motion, scene_rng)
     background = draw_background(scene, scene_rng)
     pixel = draw_pixels(scene, sensor, sensor_rng)
     raw = run_pixels(scene, sensor, motion, texture, background, pixel, threads, progress)

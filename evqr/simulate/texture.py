@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 
 from evqr.errors import UsageError
 from evqr.simulate.config import SceneConfig
-from evqr.simulate.geometry import code_corners, code_to_object, transform
+from evqr.simulate.geometry import Matrix, Motion, code_corners, code_to_object, transform
 from evqr.simulate.printed import PrintedSymbol
 
 #: Texels a px along the travel and across it.  With the default blur of 0.6 px, 6 knots a px put a crossing
@@ -46,6 +46,20 @@ class Texture:
     cover_along: Image
     cover_across: Image
     origin: NDArray[np.float64]
+
+    def seen_by(self, motion: Motion, time_us: float, shape: tuple[int, int]) -> NDArray[np.float64]:
+        """Give the texture (column, row) that each pixel of a sensor sees at a time, (height, width, 2)."""
+        return pixels_in(motion.object_to_image(time_us), shape) * TEXELS + self.origin
+
+    def columns_a_us(self, motion: Motion) -> float:
+        """Give how many columns pass a pixel in a microsecond."""
+        return float(TEXELS[0]) * motion.speed
+
+
+def pixels_in(to_image: Matrix, shape: tuple[int, int]) -> NDArray[np.float64]:
+    """Give where the pixels of an image (height, width) are in a frame, (height, width, 2)."""
+    rows, columns = np.mgrid[: shape[0], : shape[1]]
+    return transform(np.linalg.inv(to_image), np.stack([columns, rows], axis=-1).astype(np.float64))
 
 
 def gaussian_blur(image: Image, sigma: tuple[float, float]) -> Image:

@@ -38,7 +38,7 @@ from evqr.stream.records import CodeAgain, CodeLeft, CodeRead, CodeUnread, Searc
 from evqr.stream.track import Track
 from evqr.stream.unread import UnreadCodes
 from evqr.symbology import BY_THREE_PATTERNS, Symbology
-from evqr.work import Activity, Estimate, Find, Follow, Working, answer, together, with_windows
+from evqr.work import Activity, Estimate, Find, FindTurning, Follow, Working, answer, together, with_windows
 
 FOLLOW, SEARCH = range(2)
 """Ranks of activities: of those that wait for the same time, those that follow a code go on first."""
@@ -451,7 +451,10 @@ class StreamScheduler:
         (found,) = yield [Find(self._outside_tracks(window), motion, self._tau_us, kinds, thorough)]
         if isinstance(found, NotFound):
             clock.add(found.timings_ms)
-            return _Try(at_us, motion, window, replace(found, timings_ms=clock.ms))
+            (turning,) = yield [FindTurning(self._outside_tracks(window), motion)]
+            if not turning:
+                return _Try(at_us, motion, window, replace(found, timings_ms=clock.ms))
+            return _Try(at_us, motion, window, turning)
         longer = self._events.window(start_us, max(end_us, known_us))
         best, *others = yield from self._each_with_its_motion(longer, window, found, clock)
         clock.add(best.timings_ms)

@@ -24,7 +24,7 @@ from evqr.stream.records import CodeUnread
 from evqr.symbol.decoded import Decoded, DecodeFailure
 from evqr.symbol.space import Landmark
 from evqr.symbology import BY_THREE_PATTERNS
-from evqr.work import Decode, Find, Follow, Solve, Working, decoded
+from evqr.work import Decode, Find, FindTurning, Follow, Solve, Working, decoded
 
 T = TypeVar("T")
 
@@ -198,7 +198,9 @@ class Track:
         self._misses = 0
         self._path.append((found.time_us, found.centre))
         (t0, c0), (t1, c1) = self._path[0], self._path[-1]
-        self.detection = found.moving(Motion((c1 - c0) / ((t1 - t0) * 1e-6), found.time_us))
+        if found.motion.uniform:
+            found = found.moving(Motion((c1 - c0) / ((t1 - t0) * 1e-6), found.time_us))
+        self.detection = found
         self.last_us = window.end_us
         if self.reading is None:
             self._tries += 1
@@ -211,7 +213,8 @@ class Track:
         """What earlier windows say, for as long as it is not read."""
         if self.reading is not None:
             return None
-        return self._fusion.before or NormalEquations.nothing(self.detection.space)
+        before = self._fusion.before or NormalEquations.nothing(self.detection.space)
+        return None if before.varies else before  # what turns is added up here
 
     @property
     def _due(self) -> tuple[int, ...]:
@@ -274,7 +277,19 @@ class Track:
             self.failure = outcome
 
     def _find_again(self, window: Window) -> Working[None]:
-        """Search for the code from cold: what went wrong stays wrong while the code is followed."""
+        """Search for the code from cold: what went wrong stays wrong while the code is followed.
+
+        A code that turns was hardly found with a motion that is the same everywhere.
+        """
+        if not self.detection.motion.uniform:
+            return
+        (turning,) = yield [FindTurning(window, self.detection.motion, (self.detection,))]
+        if turning:
+            self._clock.add(turning[0].timings_ms)
+            if self._is_here(turning[0]):
+                self._begin_again(turning[0])
+                yield from self._decode()
+                return
         target, asked = self.detection.target, self._solver.config.symbologies
         margin = self._solver.config.scheduler.margin_modules + AROUND * target.space.size
         kinds = tuple(kind for kind in asked if not self._is_by_three or kind in BY_THREE_PATTERNS)
@@ -283,22 +298,38 @@ class Track:
             self._clock.add(codes.timings_ms)
             return
         self._clock.add(codes[0].timings_ms)
-        found = min(codes, key=lambda code: float(np.hypot(*(code.centre - self.detection.centre))))
-        if found.score < self.detection.score - SCORES_ALIKE:
-            return
-        space, apart = self.detection.space, float(np.hypot(*(found.centre - self.detection.centre)))
-        if apart > SAME_CENTRE * space.size * module_px(self.detection.pose, space.shape):
+        found = min(codes, key=self._apart)
+        if found.score < self.detection.score - SCORES_ALIKE or not self._is_here(found):
             return
         better = found.score > self.detection.score + BETTER
-        self.detection = found.moving(self.detection.motion)
-        self._path.clear()
-        self._path.append((found.time_us, found.centre))
-        if found.space != space or better:
-            self._fusion, self._attempted = self._new_fusion(), 0
+        found = found.moving(self.detection.motion)
+        if found.space != self.detection.space or better:
+            self._begin_again(found)
             yield from self._decode()
             return
+        self._moved(found)
         (alone,) = yield [Solve(found, self._clock)]
         yield from self._try(alone, 1, full=True)
+
+    def _apart(self, found: Detection) -> float:
+        """How far from here something was found [px]."""
+        return float(np.hypot(*(found.centre - self.detection.centre)))
+
+    def _is_here(self, found: Detection) -> bool:
+        """Whether what was found may be this code."""
+        space = self.detection.space
+        return self._apart(found) <= SAME_CENTRE * space.size * module_px(self.detection.pose, space.shape)
+
+    def _moved(self, found: Detection) -> None:
+        """Go on from where it was found."""
+        self.detection = found
+        self._path.clear()
+        self._path.append((found.time_us, found.centre))
+
+    def _begin_again(self, found: Detection) -> None:
+        """Go on from where it was found, without what earlier windows say."""
+        self._moved(found)
+        self._fusion, self._attempted = self._new_fusion(), 0
 
     def _reading(self, decoded: Decoded, estimate: CodeEstimate, windows: int) -> CodeReading:
         return CodeReading(
