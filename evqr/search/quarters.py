@@ -14,7 +14,7 @@ from evqr.workspace import Workspace
 
 LEAST_SPREAD = math.radians(24.0)
 """Angle between the motions of two quarters of something that turns.  Measured: below 10 degrees for codes
-that move straight, tilted ones included, 50 to 90 for those that turn about a point less than a width away."""
+that move straight, tilted ones included, 50 to 90 for those that turn about a point within a width."""
 
 MOST_UNLIKE = 0.55
 """How far the motions of the quarters may be from one that is affine in the image, relative to the largest
