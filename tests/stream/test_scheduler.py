@@ -289,6 +289,9 @@ class Vain:
     def find(self, batch, motions, *, tau_us=None, symbologies=None, thorough=True):
         return [NotFound(Reason.DISAGREES)]
 
+    def find_turning(self, window, motion, found=()):
+        return ()
+
 
 def test_searches_in_vain_become_rarer_until_something_changes(monkeypatch):
     monkeypatch.setattr("evqr.stream.moving.moving_at", Vain.moving_at)
