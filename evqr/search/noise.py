@@ -23,6 +23,9 @@ LEAST_CELL_PX = 3
 MOST_SLICES = 128
 """Times of which counts are kept."""
 
+MOST_BETWEEN = 8
+"""Slices between two windows that are counted, too: a longer window will ask for them."""
+
 MOST_AT_ONCE = 4
 """Events that are counted for a window at most, in those that are looked at otherwise: where things have
 moved a longer one has them all still to be counted."""
@@ -55,7 +58,8 @@ def noise_squares(count: int, on: int, cells: float) -> tuple[float, float]:
 class NoiseCounts:
     """Counts of a stream's events in coarse cells, in slices of time, each made when it is first asked for.
 
-    Every event is counted once, however many windows it is in.
+    Every event is counted once, however many windows it is in.  Counts are kept as sums over all slices since
+    one, modulo 2^16, so those of a window of any length are one difference.
 
     Parameters
     ----------
@@ -71,9 +75,10 @@ class NoiseCounts:
         self._events, self._cfg = events, cfg
         self._rows, self._columns = -(-height // cfg.reduction), -(-width // cfg.reduction)
         self._slice_us = max(1, cfg.probe_us // 2)
-        self._counts = np.zeros((0, self._rows * self._columns), np.int16)
-        self._numbers = [-1] * MOST_SLICES
-        self._of_all = [(0, 0)] * MOST_SLICES
+        self._first = self._end = 0
+        """Slices that are counted, without a gap."""
+        self._sums = np.zeros((0, self._rows * self._columns), np.int16)
+        self._of_all = [(0, 0)] * (MOST_SLICES + 1)
         self._half = np.empty(self._rows * self._columns, np.int16)
 
     def are_noise(self, start_us: int, end_us: int) -> bool:
@@ -92,8 +97,7 @@ class NoiseCounts:
         cfg, first, last = self._cfg, start_us // self._slice_us, end_us // self._slice_us
         if cfg.reduction < LEAST_CELL_PX or not 2 <= last - first <= MOST_SLICES:
             return False
-        missing = [number for number in range(first, last) if self._numbers[number % MOST_SLICES] != number]
-        if missing and not self._count(missing):
+        if not self._count(first, last):
             return False
         middle = (first + last) // 2
         halves = [self._squares(*bounds) for bounds in ((first, middle), (middle, last))]
@@ -105,40 +109,41 @@ class NoiseCounts:
         spread = math.hypot(*((most - least) / 2.0 for least, most in bounds))
         return abs(found - sum((least + most) / 2.0 for least, most in bounds)) <= spread
 
-    def _count(self, numbers: list[int]) -> bool:
-        """Count the events of slices, unless they are many."""
-        start_us, end_us = (number * self._slice_us for number in (numbers[0], numbers[-1] + 1))
-        window = self._events.window(max(start_us, self._events.first_us or 0), end_us)
+    def _count(self, first: int, last: int) -> bool:
+        """Count the events of slices that are not counted yet, unless they are many."""
+        if not max(self._first, self._end - MOST_SLICES) <= first <= self._end + MOST_BETWEEN:
+            self._first = self._end = first
+        if last <= self._end:
+            return True
+        start_us = max(self._end * self._slice_us, self._events.first_us or 0)
+        window = self._events.window(start_us, last * self._slice_us)
         if len(window) > MOST_AT_ONCE * self._cfg.most_events:
             return False
-        if not len(self._counts):
-            self._counts = np.zeros((MOST_SLICES, self._rows * self._columns), np.int16)
-        for number in numbers:
+        if not len(self._sums):
+            self._sums = np.zeros((MOST_SLICES + 1, self._rows * self._columns), np.int16)
+        for number in range(self._end, last):
             self._count_slice(number, window)
+        self._end = last
         return True
 
     def _count_slice(self, number: int, window: Window) -> None:
         events = window.events.between(number * self._slice_us, (number + 1) * self._slice_us)
-        slot = number % MOST_SLICES
-        counts = self._counts[slot]
-        counts[:] = 0
+        before, after = (each % (MOST_SLICES + 1) for each in (number, number + 1))
+        sums = self._sums[after]
+        sums[:] = self._sums[before]
         cell = (events.y // self._cfg.reduction).astype(np.intp)
         cell *= self._columns
         cell += events.x // self._cfg.reduction
         sign = events.p.astype(np.int16)
-        np.add.at(counts, cell, sign)
-        self._numbers[slot] = number
-        self._of_all[slot] = len(events), (len(events) + int(sign.sum())) // 2
+        np.add.at(sums, cell, sign)
+        count, ons = self._of_all[before]
+        self._of_all[after] = count + len(events), ons + (len(events) + int(sign.sum())) // 2
 
     def _squares(self, first: int, last: int) -> tuple[float, int, int]:
         """Give the squares of all cells of some slices, and how many events and ON events they have."""
-        slots = [number % MOST_SLICES for number in range(first, last)]
-        if slots[-1] >= slots[0]:
-            np.add.reduce(self._counts[slots[0] : slots[-1] + 1], axis=0, out=self._half)
-        else:
-            np.add.reduce(self._counts[slots[0] :], axis=0, out=self._half)
-            self._half += np.add.reduce(self._counts[: slots[-1] + 1], axis=0, dtype=np.int16)
+        before, after = (each % (MOST_SLICES + 1) for each in (first, last))
+        np.subtract(self._sums[after], self._sums[before], out=self._half)
         as_float = self._half.astype(np.float32)
         squares = float(np.einsum("i,i->", as_float, as_float))
-        counts, ons = zip(*(self._of_all[slot] for slot in slots), strict=True)
-        return squares, sum(counts), sum(ons)
+        (count, ons), (count_before, ons_before) = self._of_all[after], self._of_all[before]
+        return squares, count - count_before, ons - ons_before
