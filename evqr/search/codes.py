@@ -10,7 +10,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from itertools import islice, pairwise
 
 import numpy as np
@@ -27,6 +27,7 @@ from evqr.reason import Reason
 from evqr.search.bulls_eyes import codes_of_bulls_eyes
 from evqr.search.confirm import as_shown, confirmed, is_core
 from evqr.search.corners import codes_of_edges, with_solid_corners
+from evqr.search.curved import bends_of, unrolled
 from evqr.search.edges import Edges, straight_edges
 from evqr.search.finder import Found, Peaks, finding
 from evqr.search.hypothesis import Hypotheses
@@ -36,7 +37,7 @@ from evqr.search.pyramid import Pyramid
 from evqr.search.score import score
 from evqr.search.screen import Candidate, screen
 from evqr.search.singles import codes_of_singles, with_single_patterns
-from evqr.search.tilted import codes_of_tilted
+from evqr.search.tilted import Patterns, codes_of_tilted, patterns_of_triples
 from evqr.search.triples import codes_of_triples
 from evqr.symbol.space import Landmark
 from evqr.symbology import Symbology
@@ -296,14 +297,17 @@ def find_codes(
             if which in tilted:
                 numbers = [window.index for window in left]
                 ways = np.array([window.motion.direction for window in left])
-                every = codes_of_tilted(found, numbers, ways, pyramid, cfg.align, workspace=workspace)
+                patterns = patterns_of_triples(found, numbers, ways, pyramid, cfg.align, workspace=workspace)
+                every = codes_of_tilted(patterns, len(left))
             else:
-                every = _made_up(found, cfg, last=last)
+                patterns, every = None, _made_up(found, cfg, last=last)
             for window, one, made in zip(left, found, every, strict=True):
                 window.take(one, made, last=last, at_once=not workspace.shared)
         while _score(left, pyramid, cfg, workspace, clock):
             while rows := [row for window in left for row in window.rows()]:
                 _try(batch, rows, pyramid, cfg, workspace, clock)
+        if patterns is not None:
+            _find_curved(batch, left, patterns, cfg, workspace, clock)
     if _score_singles(windows, pyramid, cfg, workspace, clock):
         while rows := [row for window in windows for row in window.rows()]:
             _try(batch, rows, pyramid, cfg, workspace, clock)
@@ -311,6 +315,38 @@ def find_codes(
         while rows := [row for window in windows for row in window.rows()]:
             _try(batch, rows, pyramid, cfg, workspace, clock)
     return [window.result() for window in windows]
+
+
+def _find_curved(
+    batch: EventBatch,
+    windows: list[_Window],
+    patterns: Patterns,
+    cfg: ReadConfig,
+    workspace: Workspace,
+    clock: StageClock,
+) -> None:
+    """Search windows as if they were unrolled, where three patterns suggest how a code is bent."""
+    upright = tuple(one for one in cfg.finder.passes if one.slack <= 1.0)[-1:]
+    finder = replace(cfg.finder, passes=upright, single_patterns=0)
+    flat = replace(cfg, symbologies=(Symbology.QR_CODE,), finder=finder)
+    asked = [(window, bend) for k, window in enumerate(windows) for bend in bends_of(patterns, k)]
+    for nearly in (False, True):
+        tried = [
+            (window, one)
+            for window, bend in asked
+            if not window.sure
+            for one in (bend.beside() if nearly else [bend])
+        ]
+        if not tried:
+            return
+        every = [unrolled(batch.windows[window.index], window.motion, bend) for window, bend in tried]
+        motions, taus = [window.motion for window, _ in tried], [window.tau_us for window, _ in tried]
+        found = find_codes(
+            EventBatch.of(every), motions, taus, flat, workspace=workspace, clock=clock, thorough=False
+        )
+        for (window, _), codes in zip(tried, found, strict=True):
+            if not isinstance(codes, NotFound) and codes[0].score >= cfg.align.good_score:
+                window.found(codes[0])
 
 
 def _made_up(found: Sequence[Found], cfg: ReadConfig, *, last: bool) -> list[Hypotheses]:

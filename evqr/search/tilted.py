@@ -13,6 +13,7 @@ axis.
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
@@ -52,7 +53,38 @@ MODULES = 0.15
 """How well the number of modules between two patterns is known, |log|."""
 
 
-def codes_of_tilted(
+@dataclass(frozen=True, eq=False)
+class Patterns:
+    """Finder patterns of N triples, aligned, those whose worst is seen best first.
+
+    Attributes
+    ----------
+    peaks : (N, 3) intp
+        Which they are in their windows: at the corner, along u and along v.
+    place : (N,) intp
+        Of the windows that were given, which each is of.
+    inverted : (N,) bool
+        Light modules on dark.
+    worst : (N,) float64
+        Correlation of the worst of the three.
+    centre : (N, 3, 2) float64 [px]
+        Of the patterns.
+    shape : (N, 3, 2, 2) float64 [px]
+        Columns: a module along u and along v, at each pattern.
+    shown : (N, 2) float64
+        How well sizes along u and v are seen, 0 to 1.
+    """
+
+    peaks: NDArray[np.intp]
+    place: NDArray[np.intp]
+    inverted: NDArray[np.bool_]
+    worst: NDArray[np.float64]
+    centre: NDArray[np.float64]
+    shape: NDArray[np.float64]
+    shown: NDArray[np.float64]
+
+
+def patterns_of_triples(
     found: Sequence[Found],
     windows: Sequence[int],
     directions: NDArray[np.float64],
@@ -60,8 +92,8 @@ def codes_of_tilted(
     cfg: AlignConfig,
     *,
     workspace: Workspace,
-) -> list[Hypotheses]:
-    """Give the codes that finder patterns could be the corners of, seen in perspective.
+) -> Patterns:
+    """Align the patterns of the best triples.
 
     Parameters
     ----------
@@ -80,18 +112,17 @@ def codes_of_tilted(
 
     Returns
     -------
-    hypotheses : list of Hypotheses
-        Of each window, those whose patterns are seen best first.
+    patterns : Patterns
+        Of all windows.  What comes out of one does not depend on the others.
     """
     triples = [one.triples[:MOST_TRIPLES] for one in found]
     which = np.concatenate([some[:, 1:4] for some in triples]).astype(np.intp)
     of_each = np.repeat(np.arange(len(found)), [len(some) for some in triples])
     if not len(which):
-        nothing = np.zeros(0, np.intp)
-        return [Hypotheses.of(nothing, np.zeros((0, 3, 3)), which, nothing.astype(bool)) for _ in found]
-    place = np.concatenate(
-        [one.peaks.position[some[:, 1:4].astype(np.intp)] for one, some in zip(found, triples, strict=True)]
-    ).astype(np.float64)  # (N, 3, 2)
+        return _no_patterns()
+    looks = zip(found, triples, strict=True)
+    peaks = np.concatenate([one.peaks.table[some[:, 1:4].astype(np.intp)] for one, some in looks])
+    place, inverted = peaks[..., 1:3].astype(np.float64), peaks[:, 0, 0] < 0.0
     modules = np.exp(np.concatenate([some[:, 4] for some in triples]).astype(np.float64))[:, None]
     frame = np.zeros((len(which), 3, 3, 3))
     frame[..., :2, 0] = ((place[:, 1] - place[:, 0]) / modules)[:, None]
@@ -101,7 +132,7 @@ def codes_of_tilted(
     image = np.asarray(windows, np.intp)[of_each]
     frame, seen = _best_starts(frame, (0.0,), image, pyramid, cfg, workspace)
     best = _promising(seen, of_each)
-    which, of_each, image = which[best], of_each[best], image[best]
+    of_each, image = of_each[best], image[best]
     frame, _ = _best_starts(frame[best], STARTS, image, pyramid, cfg, workspace)
     place = frame[..., :2, 2].copy()
     frame[..., :2, 2] -= 4.5 * frame[..., :2, :2].sum(axis=-1)
@@ -110,14 +141,39 @@ def codes_of_tilted(
     worst = aligned.score.reshape(-1, 3).min(axis=1)
     order = np.argsort(-worst, kind="stable")
     order = order[(worst[order] >= MIN_PATTERN) & (shown[order].max(axis=1) > 0.0)]
-    row, size, pose = _in_perspective(centre[order], shape[order], shown[order])
-    row = order[row]
-    made = []
-    for k, one in enumerate(found):
-        mine = of_each[row] == k
-        its = which[row[mine]]
-        made.append(Hypotheses.of(size[mine], pose[mine], its, one.peaks.response[its[:, 0]] < 0.0))
-    return made
+    chosen = best[order]
+    return Patterns(
+        which[chosen], of_each[order], inverted[chosen], worst[order], centre[order], shape[order],
+        shown[order],
+    )  # fmt: skip
+
+
+def _no_patterns() -> Patterns:
+    number, size = np.zeros(0, np.intp), np.zeros(0)
+    return Patterns(
+        np.zeros((0, 3), np.intp), number, number.astype(bool), size, np.zeros((0, 3, 2)),
+        np.zeros((0, 3, 2, 2)), np.zeros((0, 2)),
+    )  # fmt: skip
+
+
+def codes_of_tilted(patterns: Patterns, windows: int) -> list[Hypotheses]:
+    """Give the codes that patterns could be the corners of, seen in perspective.
+
+    Parameters
+    ----------
+    patterns : Patterns
+        Of so many windows.
+    windows : int
+        How many.
+
+    Returns
+    -------
+    hypotheses : list of Hypotheses
+        Of each window, those whose patterns are seen best first.
+    """
+    row, size, pose = _in_perspective(patterns.centre, patterns.shape, patterns.shown)
+    made = Hypotheses.of(size, pose, patterns.peaks[row], patterns.inverted[row])
+    return [made[patterns.place[row] == k] for k in range(windows)]
 
 
 def _promising(seen: NDArray[np.float32], of_each: NDArray[np.intp]) -> NDArray[np.intp]:
