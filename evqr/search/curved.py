@@ -25,7 +25,8 @@ from evqr.search.tilted import Patterns
 from evqr.search.triples import three_cornered
 
 MIN_PATTERN = 0.6
-"""Correlation of the worst of three patterns: those of codes were seen to have 0.63 and more, others mostly less than 0.6."""
+"""Correlation of the worst of three patterns: those of codes were seen to have 0.63 and more, others mostly
+less than 0.6."""
 
 MAX_MISFIT = 0.1
 """How much the shapes of three patterns may differ [modules]."""

@@ -120,8 +120,8 @@ def patterns_of_triples(
     of_each = np.repeat(np.arange(len(found)), [len(some) for some in triples])
     if not len(which):
         return _no_patterns()
-    looks = zip(found, triples, strict=True)
-    peaks = np.concatenate([one.peaks.table[some[:, 1:4].astype(np.intp)] for one, some in looks])
+    pairs = zip(found, triples, strict=True)
+    peaks = np.concatenate([one.peaks.table[some[:, 1:4].astype(np.intp)] for one, some in pairs])
     place, inverted = peaks[..., 1:3].astype(np.float64), peaks[:, 0, 0] < 0.0
     modules = np.exp(np.concatenate([some[:, 4] for some in triples]).astype(np.float64))[:, None]
     frame = np.zeros((len(which), 3, 3, 3))
