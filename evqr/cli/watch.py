@@ -108,8 +108,8 @@ def watch(
     SOURCE is a recording, which is played; tcp://HOST:PORT, unix:PATH or - for standard input, from which
     EVT3 or a packed stream comes; camera or camera:SERIAL, at this machine (evqr doctor lists them); or
     dv://HOST:PORT[,PORT OF TRIGGERS], what dv-processing or DV sends. What is lost is opened again. It ends
-    with its source, or on SIGTERM, and tells all parts then. With --config it runs as a service: its source
-    is in the file, and it logs to standard error, a JSON object a line.
+    with its source, on SIGTERM or on Ctrl-C, and tells all parts then. With --config it runs as a service:
+    its source is in the file, and it logs to standard error, a JSON object a line.
 
     Exit status: 0 on a clean stop, 1 when a source that ended had nothing that was read, 2 when it could not
     be used, 3 when evqr itself failed.
@@ -146,7 +146,7 @@ def watch(
         in_stream = trigger == IN_STREAM
         with (
             opened_source(source, speed=speed, repeat=repeat, in_stream=in_stream, **opening) as opened,
-            _stopped_by_sigterm(opened) as stopped,
+            _stopped_by_signal(opened) as stopped,
         ):
             for record in feed(opened, make, triggers, in_stream=in_stream, seen=_tell_interruption(source)):
                 read = read or bool(getattr(record, "texts", ())) or record.record == "read"
@@ -189,25 +189,40 @@ def _serve(path: str, *, check: bool, as_json: bool) -> int:
     options.prepare(settings.backend, settings.device)
     out = (lambda record: click.echo(json_line(record))) if as_json else (lambda record: None)
     service = Service(settings, jobs, out=out)
-    with logged_as_json(), _stopped_by_sigterm(service) as stopped:
+    with logged_as_json(), _stopped_by_signal(service) as stopped:
         read = service.run()
     return OK if read or stopped else NOTHING
 
 
 @contextmanager
-def _stopped_by_sigterm(source: Stoppable) -> Iterator[list[int]]:
-    """Let SIGTERM end a source; what was heard is in the list."""
+def _stopped_by_signal(source: Stoppable) -> Iterator[list[int]]:
+    """Let SIGTERM or Ctrl-C end a source; what was heard is in the list.
+
+    A second Ctrl-C ends the program.
+    """
     heard: list[int] = []
+    before: dict[int, Any] = {}
 
     def stop(number: int, frame: Any) -> None:
         heard.append(number)
+        restore()
         source.stop()
 
-    before = signal.signal(signal.SIGTERM, stop)
+    def restore() -> None:
+        for number, handler in before.items():
+            signal.signal(number, handler)
+        if before and wakeup != -1:
+            signal.set_wakeup_fd(wakeup, warn_on_full_buffer=False)
+        before.clear()
+
+    wakeup = signal.set_wakeup_fd(-1)  # to whom that wakes Ctrl-C is an interruption
+    for number in (signal.SIGTERM, signal.SIGINT):
+        if signal.getsignal(number) is not signal.SIG_IGN:
+            before[number] = signal.signal(number, stop)
     try:
         yield heard
     finally:
-        signal.signal(signal.SIGTERM, before)
+        restore()
 
 
 def _tell_interruption(source: str) -> Callable[[Piece], None]:

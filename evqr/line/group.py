@@ -19,6 +19,7 @@ from evqr.line.parts import Parts, parts_for
 from evqr.line.reader import sensor_size, whole_us
 from evqr.line.records import LineRecord
 from evqr.recording import TimeUnit
+from evqr.seen import Statistics
 
 _LOG = logging.getLogger(__name__)
 
@@ -91,7 +92,9 @@ class ReaderGroup:
         self._jobs = dict(jobs or {})
         self._ledgers = {name: Ledger(line, name, first.get(name, 0), self._jobs) for name in cameras}
         self._checks: Parts = parts_for(triggers, config, makings[0].size)
-        self._changed = threading.Condition()  # of both below, and of the ledgers
+        self._changed = threading.Condition()  # of all below, and of the ledgers
+        self._statistics = dict.fromkeys(cameras, Statistics())
+        self._before = dict.fromkeys(cameras, Statistics())
         self._records: deque[LineRecord] = deque()
         self._errors: deque[Exception] = deque()
         self._closed = False
@@ -255,6 +258,15 @@ class ReaderGroup:
             self._records.clear()
         return records
 
+    @property
+    def statistics(self) -> dict[str, Statistics]:
+        """What has been done so far, by camera, also by processes that have ended."""
+        with self._changed:
+            return {
+                camera: Statistics(**{key: count + self._before[camera][key] for key, count in now.items()})
+                for camera, now in self._statistics.items()
+            }
+
     def close(self) -> list[LineRecord]:
         """Take all streams as ended, and wait until all of them are read.
 
@@ -310,7 +322,13 @@ class ReaderGroup:
             if done.lost:
                 _LOG.error("%s: its process has ended: %s", camera, done.lost)
                 self._records.extend(ledger.lost(done.lost))
+                done_before = self._statistics[camera]
+                self._statistics[camera] = Statistics()
+                self._before[camera] = Statistics(
+                    **{key: count + self._before[camera][key] for key, count in done_before.items()}
+                )
             else:
+                self._statistics[camera] = done.statistics
                 self._records.extend(ledger.take(done.records, done.known_us))
             self._changed.notify_all()
 

@@ -16,6 +16,7 @@ from evqr.errors import EvqrError
 from evqr.line.records import LineRecord
 from evqr.line.scheduler import LineScheduler
 from evqr.recording import TimeUnit
+from evqr.seen import Statistics
 from evqr.solver import Solver
 from evqr.work import Working, answer, together
 
@@ -64,6 +65,8 @@ class Done(NamedTuple):
         For which it was refused.
     lost : str
         What became of the process that should have done it; "" where it has.
+    statistics : Statistics
+        What the camera's reader has done so far.
     """
 
     call: Call
@@ -71,6 +74,7 @@ class Done(NamedTuple):
     known_us: int = 0
     error: Exception | None = None
     lost: str = ""
+    statistics: Statistics = Statistics()
 
 
 class Making(NamedTuple):
@@ -135,7 +139,7 @@ def doing(line: LineScheduler, call: Call) -> Working[Done]:
             records = getattr(line, call.name)(call.given) or ()
     except Exception as caught:  # told to whoever asks next
         error = caught
-    return Done(_short(call), records, line.known_us, error)
+    return Done(_short(call), records, line.known_us, error, statistics=line.statistics)
 
 
 def _short(call: Call) -> Call:

@@ -34,5 +34,20 @@ def live_source(where: str) -> Reopened | None:
     MissingExtra
         A package is not installed.
     """
-    meant = next((kind for kind in KINDS if kind.meant(where)), None)
-    return None if meant is None or Path(where).exists() else meant(where)
+    return next(kind for kind in KINDS if kind.meant(where))(where) if is_live(where) else None
+
+
+def is_live(where: str) -> bool:
+    """Tell whether a text names a source without an end, without opening it.
+
+    Parameters
+    ----------
+    where : str
+        As of `live_source`.
+
+    Returns
+    -------
+    is_live : bool
+        False where it is a recording.
+    """
+    return any(kind.meant(where) for kind in KINDS) and not Path(where).exists()

@@ -58,14 +58,25 @@ CREATE TABLE parts (
 );
 """
 
+MIGRATIONS = (
+    SCHEMA,
+    """
+ALTER TABLE parts ADD COLUMN log10_chance REAL;
+ALTER TABLE parts ADD COLUMN unused_correction REAL;
+ALTER TABLE parts ADD COLUMN grade TEXT
+""",
+)
+"""One a version of the file."""
+
 PART = """INSERT INTO parts VALUES (
     :recording, :part, :status, :text, :content, :symbology, :version, :t_first_us, :t_last_us, :t_read_us,
-    :windows, :confidence, :errors_corrected, :reason_code, :reason, :record
+    :windows, :confidence, :errors_corrected, :reason_code, :reason, :record, :log10_chance,
+    :unused_correction, :grade
 )"""
 
 READING = (
     "text", "content", "symbology", "version", "t_first_us", "t_last_us", "t_read_us", "windows",
-    "confidence", "errors_corrected",
+    "confidence", "errors_corrected", "log10_chance", "unused_correction", "grade",
 )  # fmt: skip
 """Columns of parts that are empty where nothing was read."""
 
@@ -96,7 +107,7 @@ class ReadingsDatabase:
     """
 
     def __init__(self, path: str | PathLike[str], settings: Mapping[str, Any]) -> None:
-        self._file = SqliteFile(path, application_id=APPLICATION_ID, what="readings", migrations=(SCHEMA,))
+        self._file = SqliteFile(path, application_id=APPLICATION_ID, what="readings", migrations=MIGRATIONS)
         self._db = self._file.db
         given = json_line(settings)
         try:
@@ -222,6 +233,9 @@ def _reading_columns(reading: CodeReading | None) -> dict[str, Any]:
         "windows": int(reading.windows),
         "confidence": float(reading.confidence),
         "errors_corrected": int(reading.errors_corrected),
+        "log10_chance": float(reading.log10_chance),
+        "unused_correction": _float_or_none(reading.unused_correction),
+        "grade": None if reading.grade is None else reading.grade.letter,
     }
 
 
@@ -237,6 +251,10 @@ def _stamp(path: Path) -> tuple[int | None, int | None]:
     except OSError:
         return None, None
     return status.st_size, status.st_mtime_ns
+
+
+def _float_or_none(value: float | None) -> float | None:
+    return None if value is None else float(value)
 
 
 def _or_none(reason: Any) -> str | None:

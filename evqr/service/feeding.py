@@ -11,7 +11,7 @@ from evqr.errors import EvqrError, UsageError
 from evqr.line.gates import Trigger
 from evqr.line.reader import Reader
 from evqr.line.records import LineRecord
-from evqr.live.named import live_source
+from evqr.live.named import is_live, live_source
 from evqr.live.pieces import Events, Interrupted, Piece, Sensor, TimePasses, TriggerSeen
 from evqr.live.playing import Playing
 from evqr.live.source import LiveSource
@@ -57,11 +57,11 @@ def opened_source(
     EvqrError
         It cannot be opened.
     """
+    if is_live(where) and (speed is not None or repeat):
+        option = "repeat=" if speed is None else "speed="
+        raise UsageError(f"{where}: {option} is for recordings: a live source comes as it does")
     source = live_source(where)
     if source is not None:
-        if speed is not None or repeat:
-            option = "repeat=" if speed is None else "speed="
-            raise UsageError(f"{where}: {option} is for recordings: a live source comes as it does")
         yield source
         return
     with open_recording(where, **opening) as recording:

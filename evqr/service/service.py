@@ -163,7 +163,7 @@ class Service:
         for sink, settings in sinks_of(self._settings):
             outlet = Outlet(
                 sink, room=settings.room, spool=settings.spool, spool_bytes=settings.spool_bytes,
-                when_full=settings.when_full,
+                when_full=settings.when_full, at_once=isinstance(sink, TcpServer),
             )  # fmt: skip
             stack.callback(outlet.close)
             yield sink.name, outlet

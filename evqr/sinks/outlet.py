@@ -78,6 +78,8 @@ class Outlet:
         What becomes of a record for which there is no room.
     retry_s : (float, float) [s]
         First and longest time between two tries.
+    at_once : bool
+        Open the sink before there is a record: it listens.
 
     Raises
     ------
@@ -94,8 +96,9 @@ class Outlet:
         spool_bytes: int = 1 << 30,
         when_full: WhenFull = WhenFull.DROP,
         retry_s: tuple[float, float] = (0.2, 30.0),
+        at_once: bool = False,
     ) -> None:
-        self._sink = sink
+        self._sink, self._at_once = sink, at_once
         self._waiting: Waiting = InMemory(room) if spool is None else Spool(spool, spool_bytes)
         self._when_full, self._retry_s = WhenFull(when_full), retry_s
         self._changed = threading.Condition()  # of all below
@@ -196,6 +199,12 @@ class Outlet:
     def _run(self) -> None:
         """Deliver, until there is nothing left and nothing will come."""
         pause_s, longest_s = self._retry_s
+        if self._at_once:
+            try:
+                self._open()
+            except Exception as error:  # the first record tries again
+                with self._changed:
+                    self._failed(error)
         while records := self._next():
             try:
                 refused = self._deliver(records)
@@ -222,10 +231,13 @@ class Outlet:
             return [] if over else self._waiting.first(AT_ONCE)
 
     def _deliver(self, records: list[JsonRecord]) -> str:
+        self._open()
+        return self._sink.write(records)
+
+    def _open(self) -> None:
         if not self._is_open:
             self._sink.open()
             self._is_open = True
-        return self._sink.write(records)
 
     def _done(self, records: list[JsonRecord], refused: str) -> None:
         self._waiting.done(len(records))

@@ -85,8 +85,9 @@ def test_all_in_one_process_are_what_each_is_alone(streams, alone, monkeypatch):
             records += group.advance(name, NEXT_US + 20_000)
         records += group.close()
         assert group.close() == []
-    for name in streams:
+    for name, chunks in streams.items():
         assert of(records, name) == alone[name]
+        assert group.statistics[name].events == sum(map(len, chunks))
     assert max(most) >= 2  # what both asked for was done at once
 
 
@@ -109,6 +110,8 @@ def test_a_process_each_and_one_that_is_killed(streams, alone):
             records += group.push("right", chunk)
         records += group.close()
     assert of(records, "left") == alone["left"]
+    assert group.statistics["left"].windows == group.statistics["left"]["windows"] > 0
+    assert group.statistics["right"].events == sum(map(len, streams["right"][1:]))  # the first was lost
     right = of(records, "right")
     assert [record.sequence for record in right] == list(range(len(right)))
     (gap,) = [record for record in right if isinstance(record, GapRecord)]

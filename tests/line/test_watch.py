@@ -70,10 +70,12 @@ def test_nothing_read(capsys, tmp_path):
     assert out[0].startswith("part 0 (trigger 0): NO READ: nothing moves")
 
 
-def test_sigterm_ends_it_and_loses_no_part(capsys, recording, tmp_path):
+@pytest.mark.parametrize("number", [signal.SIGTERM, signal.SIGINT])
+def test_sigterm_and_ctrl_c_end_it_and_lose_no_part(capsys, recording, tmp_path, number):
+    handler = signal.getsignal(number)
     gates = tmp_path / "gates.csv"
     gates.write_text("0,start,1\n5000,start,2\n")
-    timer = threading.Timer(0.6, os.kill, (os.getpid(), signal.SIGTERM))
+    timer = threading.Timer(0.6, os.kill, (os.getpid(), number))
     timer.start()
     began = time.monotonic()
     status, out, _ = run(capsys, "watch", recording, "--json", "--trigger", gates, "--speed", 0.002)
@@ -81,7 +83,7 @@ def test_sigterm_ends_it_and_loses_no_part(capsys, recording, tmp_path):
     timer.join()
     assert status == 0 and time.monotonic() - began < 8.0
     assert [(row["record"], row["trigger"]) for row in rows] == [("part", 1), ("part", 2)]
-    assert signal.getsignal(signal.SIGTERM) is signal.SIG_DFL
+    assert signal.getsignal(number) is handler
 
 
 def test_events_and_triggers_over_a_connection(capsys, events):
@@ -117,6 +119,7 @@ def test_events_and_triggers_over_a_connection(capsys, events):
         (["x.h5", "--pulse-us", 1, 2], "--pulse-us says what pulses ask for: name them with --trigger"),
         (["tcp://a:1", "--speed", 2], "--speed is for recordings"),
         (["tcp://a:1", "--repeat"], "--repeat is for recordings"),
+        (["camera", "--repeat"], "--repeat is for recordings"),  # whether its package is installed or not
         (["missing.h5"], "missing.h5"),
         (["x.h5", "--trigger", "missing.csv"], "missing.csv: cannot be read"),
     ],

@@ -51,6 +51,18 @@ def record(k):
     return {"record": "part", "sequence": k, "text": "é" * (k % 3)}
 
 
+def test_a_sink_that_listens_is_opened_before_there_is_a_record():
+    for failed in (0, 1):
+        sink = Collects(["closed"] * failed)
+        with Outlet(sink, retry_s=QUICK, at_once=True) as outlet:
+            ends = time.monotonic() + 20.0
+            while not sink.opened:
+                assert time.monotonic() < ends
+                time.sleep(0.001)
+            outlet.put(record(0))
+        assert sink.got == [0] and sink.opened == 1 + failed and not sink.plan
+
+
 def in_order_and_whole(got, count):
     """Each arrives, first arrivals in order."""
     return list(dict.fromkeys(got)) == list(range(count))
