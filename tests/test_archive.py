@@ -5,7 +5,7 @@ from __future__ import annotations
 import os
 import sqlite3
 from concurrent.futures import BrokenExecutor, ThreadPoolExecutor
-from contextlib import contextmanager, nullcontext
+from contextlib import closing, contextmanager, nullcontext
 from pathlib import Path
 
 import pytest
@@ -16,7 +16,8 @@ from evqr.cli.workers import workers
 from evqr.demo import demo_recording
 from evqr.errors import RecordingError, UsageError
 from evqr.main import run
-from evqr.output.database import ReadingsDatabase
+from evqr.output.database import APPLICATION_ID, SCHEMA, ReadingsDatabase
+from evqr.output.sqlite_file import SqliteFile
 from evqr.results import ReadStatus
 
 UNLIKE = {"compute_ms", "t_utc"}
@@ -230,3 +231,17 @@ def test_the_command(tmp_path, capsys):
     assert "--out" not in (said := capsys.readouterr().err) and '"max_windows": 2' in said
     assert run(["batch", "-", "--out", str(out)]) == 2
     assert "standard input" in capsys.readouterr().err
+
+
+def test_a_file_of_the_first_version_gets_the_columns_that_came_later(tmp_path):
+    path = tmp_path / "old.db"
+    with (
+        closing(
+            SqliteFile(path, application_id=APPLICATION_ID, what="readings", migrations=(SCHEMA,))
+        ) as old,
+        old.together(),
+    ):
+        old.db.execute("INSERT INTO settings VALUES ('{}')")
+    with ReadingsDatabase(path, {}) as now:
+        columns = [row[1] for row in now._db.execute("PRAGMA table_info(parts)")]
+    assert columns[-3:] == ["log10_chance", "unused_correction", "grade"]
