@@ -179,6 +179,8 @@ class Variant:
         So many share the events of a window.
     rows : int
         So many rows of it.
+    lanes : int
+        Threads that do one thing together, a window or a pose, and wait for each other: a block of a GPU.
     device : str or None
         Kind of device that it is for: "cpu", "cuda", "vulkan", "metal"; None for any.
     architecture : int
@@ -192,6 +194,7 @@ class Variant:
     tile: int = 1
     threads: int = 1
     rows: int = 1
+    lanes: int = 1
     device: str | None = None
     architecture: int = 0
     width: int = 0

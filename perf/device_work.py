@@ -60,15 +60,18 @@ class Work:
     loads: float
 
 
-def _share(s: Sizes) -> float:
-    """Share of the launches of an iteration that have something left to do."""
-    most = s.given["max_iterations"]
-    return 1.0 if s.iterations is None or not most else min(s.iterations / most, 1.0)
+LANES = 256
+"""Threads of a block that share a window or a pose."""
 
 
-def _stencil(share: float, s: Sizes) -> Work:
-    columns = share * s.of("rhs")
-    return Work(columns, columns * s.of("stencil") ** 2, 3)
+def _iterations(s: Sizes) -> float:
+    return s.given["max_iterations"] if s.iterations is None else s.iterations
+
+
+def _solution(s: Sizes) -> Work:
+    """Count passes over the modules of a thread: three an iteration, one of them by the stencil."""
+    modules = math.ceil(s.of("rhs", 1) * s.of("rhs") / LANES)
+    return Work(3 * _iterations(s) * modules, (1 + _iterations(s)) * modules * s.of("stencil") ** 2, 2)
 
 
 def _events(s: Sizes) -> Work:
@@ -77,8 +80,10 @@ def _events(s: Sizes) -> Work:
 
 
 def _alignment(s: Sizes) -> Work:
-    turns = 1 + (s.given["max_iterations"] if s.iterations is None else s.iterations)
-    return Work(turns, turns * s.of("points", 0) if s.samples is None else s.samples, 26)
+    """Count the points of a thread; an entry of a system is of 4 x 4 terms, and passes 10 pivots."""
+    turns = 1 + _iterations(s)
+    points = turns * s.of("points", 0) if s.samples is None else s.samples
+    return Work(turns, points / LANES + turns * (16 + 2 * 10), 26)
 
 
 def _shifts(s: Sizes) -> Work:
@@ -125,15 +130,13 @@ WORK: dict[str, Callable[[Sizes], Work]] = {
     "splat_events_adjoint.seen_where_it_moves": lambda s: Work(0, 1, 6),
     "lag_operator.lag_rows": lambda s: Work(0, s.of("taps"), 10),
     "lag_operator.lag_columns": lambda s: Work(0, s.of("taps"), 10),
-    "align_poses.align_poses": _alignment,
+    "align_poses.align_blocks": _alignment,
     "score_poses.score_poses": lambda s: Work(0, s.of("model", 0) / s.of("model_ptr", 0), 8),
     "code_rhs.sample_lattice": lambda s: Work(s.given["samples_a_module"], s.of("samples_out"), 5),
     "code_rhs.fold_samples": _fold,
     "sum_equations.sum_equations": lambda s: Work(0, s.of("rhs") / 8, 24),
     "pull_modules.pull_modules": lambda s: Work(0, s.of("q") / 8, 17),
-    "solve_code.start": lambda s: _stencil(1.0, s),
-    "solve_code.apply": lambda s: _stencil(_share(s), s),
-    "solve_code.update": lambda s: Work(0, _share(s) * (s.of("rhs") + s.of("rhs", 1)), 4),
+    "solve_code.solve_blocks": _solution,
     "motion_correlation.clip_rows": lambda s: Work(0, s.of("images_inout") / 4, 4),
     "motion_correlation.judge_pairs": lambda s: Work(0, s.of("images_inout", 2), 4),
     "motion_correlation.correlate_rows": _shifts,

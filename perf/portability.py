@@ -6,7 +6,8 @@ usage: portability.py [--dtype float32 --dtype float64] [--arch 90 ...] [--modul
 Kernels are found in `evqr_kernels.warp_backend`: whatever a ``make_..`` function builds that says that it
 returns a kernel, adjoints included.  Each is compiled ahead of time to machine code (CUBIN), whose registers,
 stack, local memory accesses (spills among them: without any there is none) and atomic instructions cuobjdump
-tells.  Budgets, architectures, the variants that are built and known exceptions are in portability.json.  An
+tells; of kernels with a block of threads a window also their shared memory and barriers.  Budgets,
+architectures, the variants that are built and known exceptions are in portability.json.  An
 exception states what is allowed instead and why: it guards against more of the same.
 
 Prints a line a kernel and precision, the worst of all architectures (--all: a line each).  Exit 1 when a
@@ -38,10 +39,14 @@ from evqr_kernels import SplatConfig, get_backend
 
 SETTINGS = Path(__file__).with_suffix(".json")
 KERNEL = re.compile(r"Function :? ?(?:\w+__locals__)?(\w+?)_cuda_kernel_forward")
-USAGE = re.compile(r"REG:(\d+) STACK:(\d+)")
+USAGE = re.compile(r"REG:(\d+) STACK:(\d+)(?: SHARED:(\d+))?")
 LOCAL, ATOMIC = re.compile(r"\b(?:STL|LDL)\b"), re.compile(r"\b(?:RED|REDG|ATOM|ATOMG)\b")
+BARRIER = re.compile(r"\bBAR\.SYNC")
 
-MEASURES = ("registers", "stack", "local", "atomics")
+MEASURES = ("registers", "stack", "local", "atomics", "shared", "barriers")
+
+OF_KERNELS = ("atomics", "shared", "barriers")
+"""What only the kernels need that portability.json names."""
 
 
 @dataclass
@@ -56,6 +61,8 @@ class Usage:
     stack: int = 0  # bytes a thread
     local: int = 0  # instructions that load from or store to the stack or spilled registers
     atomics: int = 0  # instructions, copies of unrolled loops included
+    shared: int = 0  # bytes a block
+    barriers: int = 0  # instructions, likewise
 
 
 def factories() -> Iterator[tuple[str, Any]]:
@@ -121,10 +128,13 @@ def usages(cubin: Path, variant: str, dtype: str, arch: int) -> Iterator[Usage]:
         if name := KERNEL.search(line):
             current = found.setdefault(name[1], Usage(variant, name[1], dtype, arch))
         elif current and (numbers := USAGE.search(line)):
-            current.registers, current.stack = int(numbers[1]), int(numbers[2])
+            current.registers, current.stack, current.shared = (
+                int(number or 0) for number in numbers.groups()
+            )
         elif current:
             current.local += bool(LOCAL.search(line))
             current.atomics += bool(ATOMIC.search(line))
+            current.barriers += bool(BARRIER.search(line))
     if not found:
         sys.exit(f"cuobjdump tells of no kernel in {cubin.name}")
     yield from found.values()
@@ -148,7 +158,8 @@ def limits(row: Usage, settings: dict[str, Any]) -> dict[str, int]:
     budget = dict(settings["budgets"][row.dtype])
     if row.kernel in settings["matrices"]["kernels"]:
         budget["registers"] = settings["matrices"][row.dtype]
-    budget["atomics"] = settings["atomics"][row.dtype].get(row.kernel, budget["atomics"])
+    for measure in OF_KERNELS:
+        budget[measure] = settings[measure][row.dtype].get(row.kernel, 0)
     exception = settings["exceptions"].get(exception_of(row, settings), {})
     return {**budget, **{name: exception[name] for name in budget if name in exception}}
 
@@ -180,13 +191,14 @@ def table(rows: list[Usage], settings: dict[str, Any], *, with_arch: bool) -> st
     """Lines to print."""
     lines = [
         f"{'variant':26} {'kernel':28} {'dtype':8} {'arch':>5} "
-        f"{'regs':>5} {'stack':>6} {'local':>6} {'atomics':>8}"
+        f"{'regs':>5} {'stack':>6} {'local':>6} {'atomics':>8} {'shared':>7} {'barriers':>9}"
     ]
     for row in sorted(rows, key=lambda row: (row.dtype, row.variant, row.kernel, row.arch)):
         arch = row.arch if with_arch else "all"
+        exception = "  exception" if exception_of(row, settings) else ""
         lines.append(
             f"{row.variant:26} {row.kernel:28} {row.dtype:8} {arch:>5} {row.registers:5} {row.stack:6} "
-            f"{row.local:6} {row.atomics:8}{'  exception' if exception_of(row, settings) else ''}"
+            f"{row.local:6} {row.atomics:8} {row.shared:7} {row.barriers:9}{exception}"
         )
     return "\n".join(lines)
 

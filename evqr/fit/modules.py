@@ -328,7 +328,7 @@ class Solution(Step):
         self._least = staging.input((count,))
         self._before = staging.input((count, *room)), staging.input((count, reach, reach))
         self._filled: list[tuple[int, ...]] = [(0, 0)] * count  # rows and columns that were written
-        self._scratch = workspace.scratch("solve_code", B=count, V=room[0], U=room[1])
+        self._scratch = workspace.scratch("solve_code", B=count, V=room[0], U=room[1], K=reach)
         self._sum = staging.output((count, *room)), staging.output((count, reach, reach))
         self._peak = staging.output((count,))
         self._pulled, self._damping = workspace.empty(count, *room), workspace.empty(count)

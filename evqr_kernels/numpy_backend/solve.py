@@ -8,7 +8,7 @@ from numpy.typing import NDArray
 
 def solve_code(
     rhs, stencil, damping, space_idx, free, bounds, unclear, enough, max_iterations, tolerance, fields_out,
-    sums_out, next_sums_out, q_inout, iterations_out,
+    direction_out, q_inout, iterations_out,
 ) -> None:  # fmt: skip
     """Conjugate gradients over the free modules; q is updated in place, the scratch is not used."""
     iterations_out[:] = 0

@@ -57,6 +57,9 @@ LATTICE = (
 )
 RHS = overwritten("rhs_out", "B", ROWS, COLUMNS)
 SYSTEM = (floats("stencil", "B", "K", "K"), floats("damping", "B"), ints("free", "V", "U"))
+BLOCKS = Variant(device="cpu"), Variant(lanes=64, backend="taichi"), Variant(lanes=256)
+"""A thread for a window or a pose on a CPU, many on a GPU."""
+
 SOLUTION = in_place("q_inout", "B", "V", "U", start="start")
 
 
@@ -175,6 +178,7 @@ OPERATIONS = (
             in_place("pose_inout", "N", 9, start="pose"),
             overwritten("result_out", "N", 5),
         ),
+        variants=BLOCKS,
         parameters=tuple(map(setting, ("centre", "scale", "ridge", "damping", "tolerance"))),
         check=_alignable,
     ),
@@ -274,11 +278,11 @@ OPERATIONS = (
             setting("max_iterations", 0),
             setting("tolerance"),
             scratch("fields_out", "B", 5, "V", "U"),
-            scratch("sums_out", "B", 4, "V"),
-            scratch("next_sums_out", "B", 4, "V"),
+            scratch("direction_out", "B", "V + K - 1", "U + K - 1"),
             SOLUTION,
             overwritten("iterations_out", "B", integer=True),
         ),
+        variants=BLOCKS,
         check=_odd_stencil,
     ),
     Operation(

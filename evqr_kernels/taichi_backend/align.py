@@ -2,7 +2,18 @@
 
 from functools import cache
 
-from evqr_kernels.taichi_backend.language import array, float_of, indices_of_window, is_alone, run_at, ti
+from evqr_kernels.taichi_backend.align_blocks import make_align_blocks
+from evqr_kernels.taichi_backend.align_steps import make_gain, make_gain_factor, make_measure, make_move
+from evqr_kernels.taichi_backend.language import (
+    array,
+    float_of,
+    indices_of_window,
+    is_alone,
+    is_on_cpu,
+    run_at,
+    ti,
+    variant,
+)
 from evqr_kernels.taichi_backend.launches import launch
 from evqr_kernels.taichi_backend.pose import make_bilinear_in_part, make_project
 
@@ -35,23 +46,8 @@ def make_align_poses(dtype, columns: int, alone: bool):
     project = make_project(dtype)
     first = columns - 2
     second = columns - 1
-
-    @ti.func
-    def gain_factor(kind, gain_u, gain_v):
-        factor = dtype(0.0)
-        if kind == 1:
-            factor = gain_u
-        elif kind == 2:
-            factor = gain_v
-        elif kind == 3:
-            factor = dtype(1.0)
-        return factor
-
-    @ti.func
-    def centred(offset_u, offset_v):
-        one = dtype(1.0)
-        zero = dtype(0.0)
-        return ti.Matrix([[one, zero, offset_u], [zero, one, offset_v], [zero, zero, one]])
+    gain_factor, gain_at = make_gain_factor(dtype), make_gain(dtype, columns)
+    measure, move = make_measure(dtype, columns), make_move(dtype)
 
     @ti.kernel
     def align_poses(
@@ -80,12 +76,6 @@ def make_align_poses(dtype, columns: int, alone: bool):
             height = image_part[h, 1]
             width = image_part[h, 2]
             which = table_idx[h]
-            centre_u = settings[which, 0]
-            centre_v = settings[which, 1]
-            scale_u = settings[which, 2]
-            scale_v = settings[which, 3]
-            longer = ti.max(scale_u, scale_v)
-            ridge = settings[which, 4]
             damping = settings[which, 5]
             tolerance = settings[which, 6]
             begin = table_ptr[which, 0]
@@ -107,21 +97,11 @@ def make_align_poses(dtype, columns: int, alone: bool):
                         for c in ti.static(range(columns)):
                             moments[c] += e * table[0, at + c]
                         energy += e * e
-                guu = gram[which, first, first]
-                guv = gram[which, first, second]
-                gvv = gram[which, second, second]
-                extra = ridge * (guu + gvv)
-                determinant = (guu + extra) * (gvv + extra) - guv * guv
-                gain_u = -((gvv + extra) * moments[first] - guv * moments[second]) / determinant
-                gain_v = -((guu + extra) * moments[second] - guv * moments[first]) / determinant
-                model = gain_u * gain_u * guu + dtype(2.0) * gain_u * gain_v * guv + gain_v * gain_v * gvv
-                cross = -(gain_u * moments[first] + gain_v * moments[second])
-                result_out[h, 0] = gain_u
-                result_out[h, 1] = gain_v
-                result_out[h, 2] = cross / ti.sqrt(ti.max(model * energy, dtype(1.0e-20)))
-                result_out[h, 3] = ti.max(energy - dtype(2.0) * cross + model, dtype(0.0)) / dtype(
-                    ti.max(end - begin, 1)
-                )
+                gain_u, gain_v = gain_at(gram, which, settings[which, 4], moments[first], moments[second])
+                measure(
+                    gram, which, gain_u, gain_v, moments[first], moments[second], energy, end - begin, h,
+                    result_out,
+                )  # fmt: skip
                 result_out[h, 4] = dtype(iterations)
                 if iterations >= max_iterations or moving == 2:
                     moving = 0
@@ -168,21 +148,7 @@ def make_align_poses(dtype, columns: int, alone: bool):
                     if parameters > 6:
                         tilt_u = step[6]
                         tilt_v = step[7]
-                    one = dtype(1.0)
-                    warp = ti.Matrix(
-                        [
-                            [one + step[1] / scale_u, step[2] / scale_v, step[0]],
-                            [step[4] / scale_u, one + step[5] / scale_v, step[3]],
-                            [-tilt_u / (longer * scale_u), -tilt_v / (longer * scale_v), one],
-                        ]
-                    )
-                    pose = ti.Matrix.zero(dtype, 3, 3)
-                    for r, c in ti.static(ti.ndrange(3, 3)):
-                        pose[r, c] = pose_inout[h, 3 * r + c]
-                    forth, back = centred(-centre_u, -centre_v), centred(centre_u, centre_v)
-                    moved = pose @ back @ warp.inverse() @ forth
-                    for r, c in ti.static(ti.ndrange(3, 3)):
-                        pose_inout[h, 3 * r + c] = moved[r, c] / moved[2, 2]
+                    move(settings, which, step, tilt_u, tilt_v, h, pose_inout)
                     iterations += 1
                     if size < tolerance:
                         moving = 2
@@ -194,9 +160,12 @@ def align_poses(
     image, image_idx, image_part, table_idx, points, table, table_ptr, gram, terms, factors, parameters,
     settings, max_iterations, pose_inout, result_out,
 ) -> None:  # fmt: skip
-    """Launch; overwrites the results."""
+    """Launch a thread a pose, or a block, as the table has it for the device; overwrites the results."""
+    dtype, columns, lanes = float_of(image), table.shape[1], variant("align_poses", is_on_cpu(image)).lanes
     launch(
-        make_align_poses(float_of(image), table.shape[1], is_alone(pose_inout)),
+        make_align_blocks(dtype, columns, lanes)
+        if lanes > 1
+        else make_align_poses(dtype, columns, is_alone(pose_inout)),
         *(image, image_idx, image_part, table_idx, points, table, table_ptr, gram, terms, factors),
         *(parameters, settings, max_iterations, pose_inout, result_out),
     )

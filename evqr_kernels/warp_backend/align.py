@@ -20,9 +20,10 @@ whose.  Of each only the first ``parameters`` are free.
 Results: gain, score (the normalised correlation of model and image), noise (the variance of what is left) and
 iterations, all at the pose that is returned.
 
-One thread owns one pose: a step is a few thousand multiply-adds, less than a launch costs on a CPU.  The
-gain is eliminated from its system beforehand.  With D = gram_LL, damped like the rest, that is the same as
-less of the Gram matrix and another gain in the right-hand side:
+On a GPU a block of threads has a pose (``align_blocks``).  On a CPU one thread owns one: a step is a few
+thousand multiply-adds, less than a launch costs.  The gain is eliminated from its system beforehand.  With
+D = gram_LL, damped like the rest, that is the same as less of the Gram matrix and another gain in the
+right-hand side:
 
     gram   <- gram - gram_L D^-1 gram_L^T,        a <- a - D^-1 (moments_L + gram_LL a)
 
@@ -33,39 +34,30 @@ from functools import cache
 
 import warp as wp
 
-from evqr_kernels.warp_backend.language import last_axis_as_vector, launch, module_of, neighbours, vector
+from evqr_kernels.warp_backend.align_blocks import make_align_blocks
+from evqr_kernels.warp_backend.align_steps import (
+    MOST,
+    SETTINGS,
+    TERMS,
+    make_gain,
+    make_gain_factor,
+    make_measure,
+    make_move,
+)
+from evqr_kernels.warp_backend.block import lanes_on
+from evqr_kernels.warp_backend.language import (
+    last_axis_as_vector,
+    launch,
+    module_of,
+    neighbours,
+    variant,
+    vector,
+)
 from evqr_kernels.warp_backend.pose import make_bilinear_in_part, make_project
 
-MOST = 8
-"""Parameters of a pose, at most."""
-
-TERMS = 4
-"""Columns of the table that the derivative in one parameter is made of, at most."""
-
-SETTINGS = 7
-"""Numbers that a launch is told: centre and scale along u and v, ridge, damping, tolerance."""
-
 
 @cache
-def make_gain_factor(dtype: type) -> wp.Function:
-    """Build what a term is multiplied with."""
-
-    @wp.func
-    def gain_factor(kind: int, gain_u: dtype, gain_v: dtype) -> dtype:
-        factor = dtype(0.0)
-        if kind == 1:
-            factor = gain_u
-        elif kind == 2:
-            factor = gain_v
-        elif kind == 3:
-            factor = dtype(1.0)
-        return factor
-
-    return gain_factor
-
-
-@cache
-def make_entry(dtype: type, columns: int, unrolled: bool) -> wp.Function:
+def make_entry(dtype: type, columns: int) -> wp.Function:
     """Build an entry (p, q) of the normal matrix: of the Gram matrix less ``gram_L projection gram_L^T``.
 
     Arrays are flat.  ``projection``: the symmetric matrix's entries uu, uv, vv.
@@ -87,7 +79,7 @@ def make_entry(dtype: type, columns: int, unrolled: bool) -> wp.Function:
         )
 
     @wp.func
-    def unrolled_entry(
+    def entry(
         gram: wp.array2d(dtype=dtype),
         which: int,
         terms: wp.array(dtype=wp.int32),
@@ -112,41 +104,14 @@ def make_entry(dtype: type, columns: int, unrolled: bool) -> wp.Function:
                 total += gain_factor(factors[n], gain_u, gain_v) * part
         return total
 
-    @wp.func
-    def entry(
-        gram: wp.array2d(dtype=dtype),
-        which: int,
-        terms: wp.array(dtype=wp.int32),
-        factors: wp.array(dtype=wp.int32),
-        gain_u: dtype,
-        gain_v: dtype,
-        projection: vec3,
-        p: int,
-        q: int,
-    ) -> dtype:
-        # one loop, not two, of a shape that a GPU's compiler does not unroll: it would take more registers
-        total = dtype(0.0)
-        n = TERMS * p
-        m = TERMS * q
-        while n < TERMS * (p + 1):
-            if factors[n] != 0 and factors[m] != 0:
-                weight = gain_factor(factors[n], gain_u, gain_v) * gain_factor(factors[m], gain_u, gain_v)
-                total += weight * projected(gram, which, projection, terms[n], terms[m])
-            m += 1
-            if m == TERMS * (q + 1):
-                m = TERMS * q
-                n += 1
-        return total
-
-    return unrolled_entry if unrolled else entry
+    return entry
 
 
 @cache
-def make_newton_step(dtype: type, columns: int, unrolled: bool) -> wp.Function:
+def make_newton_step(dtype: type, columns: int) -> wp.Function:
     """Build the step of the pose from the moments; parameters that it does not have stay.
 
-    What has an index known only at run time cannot stay in a GPU's registers, so loops over vectors and over
-    the triangle are unrolled, and a component is looked up or set by going through all of them.
+    Loops over vectors and over the triangle are unrolled, so that a compiler keeps them in registers.
     """
     vec_columns = vector(columns, dtype)
     vec3 = vector(3, dtype)
@@ -154,7 +119,7 @@ def make_newton_step(dtype: type, columns: int, unrolled: bool) -> wp.Function:
     matrix = wp.types.matrix(shape=(MOST, MOST), dtype=dtype)
     along_u, along_v = columns - 2, columns - 1
     gain_factor = make_gain_factor(dtype)
-    entry = make_entry(dtype, columns, unrolled)
+    entry = make_entry(dtype, columns)
 
     @wp.func
     def pick(values: vec_columns, c: int) -> dtype:
@@ -236,24 +201,18 @@ def make_newton_step(dtype: type, columns: int, unrolled: bool) -> wp.Function:
 
 
 @cache
-def make_align_poses(dtype: type, columns: int, unrolled: bool) -> wp.Kernel:
-    """Build the kernel for a table of ``columns`` functions; launch: one thread per pose.
-
-    ``unrolled``: faster on a CPU; on a GPU the registers would not do.
-    """
+def make_align_poses(dtype: type, columns: int) -> wp.Kernel:
+    """Build the kernel for a table of ``columns`` functions; launch: one thread per pose."""
     vec_columns = vector(columns, dtype)
     vec_pair = vector(2, dtype)
     vec_settings = vector(SETTINGS, dtype)
-    mat33 = wp.types.matrix(shape=(3, 3), dtype=dtype)
+    move, gain_at, measure = make_move(dtype), make_gain(dtype, columns), make_measure(dtype, columns)
     bilinear_in_part = make_bilinear_in_part(dtype)
     project = make_project(dtype)
     along_u, along_v = columns - 2, columns - 1
-    newton_step = make_newton_step(dtype, columns, unrolled)
+    newton_step = make_newton_step(dtype, columns)
 
-    @wp.kernel(
-        module=module_of(f"align_{columns}{'_unrolled' * unrolled}", dtype),
-        cuda_max_registers=112 if dtype is wp.float32 else 192,
-    )
+    @wp.kernel(module=module_of(f"align_{columns}", dtype))
     def align_poses(
         pairs: wp.array3d(dtype=vec_pair),
         image_idx: wp.array(dtype=wp.int32),
@@ -290,27 +249,15 @@ def make_align_poses(dtype: type, columns: int, unrolled: bool) -> wp.Kernel:
                 if e != dtype(0.0):
                     moments += e * table[s]
                     energy += e * e
-            guu = gram[which, columns * along_u + along_u]
-            guv = gram[which, columns * along_u + along_v]
-            gvv = gram[which, columns * along_v + along_v]
-            extra = settings[which][4] * (guu + gvv)
-            determinant = (guu + extra) * (gvv + extra) - guv * guv
-            gain_u = -((gvv + extra) * moments[along_u] - guv * moments[along_v]) / determinant
-            gain_v = -((guu + extra) * moments[along_v] - guv * moments[along_u]) / determinant
-            model = gain_u * gain_u * guu + dtype(2.0) * gain_u * gain_v * guv + gain_v * gain_v * gvv
-            cross = -(gain_u * moments[along_u] + gain_v * moments[along_v])
-            result_out[h, 0] = gain_u
-            result_out[h, 1] = gain_v
-            result_out[h, 2] = cross / wp.sqrt(wp.max(model * energy, dtype(1.0e-20)))
-            result_out[h, 3] = wp.max(energy - dtype(2.0) * cross + model, dtype(0.0)) / dtype(
-                wp.max(end - first, 1)
-            )
+            gain_u, gain_v = gain_at(gram, which, settings[which][4], moments[along_u], moments[along_v])
+            measure(
+                gram, which, gain_u, gain_v, moments[along_u], moments[along_v], energy, end - first, h,
+                result_out,
+            )  # fmt: skip
             result_out[h, 4] = dtype(iterations)
             if iterations >= max_iterations or moving == 2:
                 moving = 0
             else:
-                # settings are read where they are needed: kept, they would take registers all along, and so
-                # would their addresses, were they no vector
                 most = wp.min(parameters[which], terms.shape[0] // TERMS - 2)
                 step = newton_step(
                     gram, which, terms, factors, most, settings[which][5], gain_u, gain_v, moments
@@ -319,36 +266,7 @@ def make_align_poses(dtype: type, columns: int, unrolled: bool) -> wp.Kernel:
                 for p in range(MOST):
                     size += wp.abs(step[p])
                 step = step / wp.max(size, dtype(1.0))
-                centre_u = settings[which][0]
-                centre_v = settings[which][1]
-                scale_u = settings[which][2]
-                scale_v = settings[which][3]
-                longer = wp.max(scale_u, scale_v)
-                one = dtype(1.0)
-                zero = dtype(0.0)
-                inverse_sq = one / (longer * longer)
-                tilt_u = step[6] / (scale_u / longer)
-                tilt_v = step[7] / (scale_v / longer)
-                warp_inverse = wp.inverse(
-                    mat33(
-                        one + step[1] / scale_u, step[2] / scale_v, step[0],
-                        step[4] / scale_u, one + step[5] / scale_v, step[3],
-                        -tilt_u * inverse_sq, -tilt_v * inverse_sq, one,
-                    )
-                )  # fmt: skip
-                moved = (
-                    mat33(
-                        pose_inout[h, 0], pose_inout[h, 1], pose_inout[h, 2],
-                        pose_inout[h, 3], pose_inout[h, 4], pose_inout[h, 5],
-                        pose_inout[h, 6], pose_inout[h, 7], pose_inout[h, 8],
-                    )
-                    * mat33(one, zero, centre_u, zero, one, centre_v, zero, zero, one)
-                    * warp_inverse
-                    * mat33(one, zero, -centre_u, zero, one, -centre_v, zero, zero, one)
-                )  # fmt: skip
-                for r in range(3):
-                    for c in range(3):
-                        pose_inout[h, 3 * r + c] = moved[r, c] / moved[2, 2]
+                move(settings, which, step, h, pose_inout)
                 iterations += 1
                 if size < settings[which][6]:
                     moving = 2
@@ -360,11 +278,12 @@ def align_poses(
     image, image_idx, image_part, table_idx, points, table, table_ptr, gram, terms, factors, parameters,
     settings, max_iterations, pose_inout, result_out,
 ) -> None:  # fmt: skip
-    """Launch; overwrites the results."""
+    """Launch a thread a pose, or a block, as the table has it for the device; overwrites the results."""
     dtype, columns = image.dtype, table.shape[1]
+    lanes = variant("align_poses", image.device).lanes
     launch(
-        make_align_poses(dtype, columns, unrolled=image.device.is_cpu),
-        pose_inout.shape[0],
+        make_align_blocks(dtype, columns, lanes) if lanes > 1 else make_align_poses(dtype, columns),
+        (pose_inout.shape[0], lanes_on(image.device, lanes)) if lanes > 1 else pose_inout.shape[0],
         inputs=[
             neighbours(image, 2),
             image_idx,

@@ -111,9 +111,13 @@ NaN and infinity keep their meaning."""
 
 
 @cache
-def module_of(concept: str, dtype: type) -> wp.Module:
-    """Give the Warp module that a concept's kernels of one precision are compiled into, together."""
+def module_of(concept: str, dtype: type, lanes: int = 256) -> wp.Module:
+    """Give the Warp module that a concept's kernels of one precision are compiled into, together.
+
+    ``lanes``: threads of their blocks on a GPU.
+    """
     module = wp.get_module(f"evqr_kernels_{concept}_{dtype.__name__}")
+    module.options["block_dim"] = lanes
     module.options["enable_backward"] = False  # the adjoints are written by hand
     module.options["cpu_compiler_flags"] = " ".join(
         [wp.config.cpu_compiler_flags or "-march=native", *CPU_FLAGS]

@@ -13,26 +13,22 @@ is solved from the q that is given until the residual is ``tolerance`` times wha
 Each window shows one of several codes, which may be smaller than the arrays are: its free modules lie within
 ``bounds``.  A window in which no more than ``enough`` modules are ``unclear`` is left as it is.
 
-On the CPU one thread solves one window in a single launch (a launch costs as much as an iteration).  On a GPU
-one thread owns one row of modules and an iteration is two launches; each dot product is a sum of row sums
-that every row adds up for itself, so there is no atomic and no host read.  Windows that have converged do
-nothing in the launches that are left.
+A solution is one launch, and a window stops when it has converged: on the CPU one thread solves a window, on
+a GPU a block of threads (``solve_blocks``).
 """
 
 from functools import cache
 
 import warp as wp
 
-from evqr_kernels.warp_backend.language import launch, launch_bounds, module_of, neighbours, vector
+from evqr_kernels.warp_backend.language import launch, module_of, neighbours, variant, vector
+from evqr_kernels.warp_backend.solve_blocks import solve_blocks
 
 BLOCK = 8
 """Neighbouring modules done together on the CPU."""
 
 RESIDUAL, DIRECTION, PRODUCT, MASK, MODULES = map(wp.constant, range(5))
 """Fields that a solution works on: r, d and p of the formulas; 1 where a module is free; and q."""
-
-NEXT_DIRECTION = MASK
-"""On a GPU, where a new direction is written while the old one is read: the two change places."""
 
 
 @cache
@@ -225,7 +221,7 @@ def solve_windows(
     max_iterations, tolerance,
 ) -> None:  # fmt: skip
     """Launch the CPU's variant; q is updated in place, the rest overwritten."""
-    fields, _, _ = scratch
+    fields, _ = scratch
     about = space_idx, free, bounds, unclear, enough
     launch(
         make_solve_windows(rhs.dtype, stencil.shape[1]),
@@ -236,217 +232,13 @@ def solve_windows(
     )
 
 
-@cache
-def make_sum_rows(dtype: type) -> wp.Function:
-    """Build the sum of one slot of the row sums: 0 |r|^2 at the start, 1 now, 2 d.p, 3 |r|^2 before."""
-
-    @wp.func
-    def sum_rows(rows: wp.array3d(dtype=dtype), b: int, slot: int) -> dtype:
-        total = dtype(0.0)
-        for i in range(rows.shape[2]):
-            total += rows[b, slot, i]
-        return total
-
-    return sum_rows
-
-
-@cache
-def make_product_at(dtype: type) -> wp.Function:
-    """Build the function that applies the stencil at one module to two fields, ``first + beta second``."""
-
-    @wp.func
-    def product_at(
-        stencil: wp.array3d(dtype=dtype),
-        fields: wp.array4d(dtype=dtype),
-        first: int,
-        second: int,
-        beta: dtype,
-        b: int,
-        i: int,
-        j: int,
-    ) -> dtype:
-        side = stencil.shape[1]
-        total = dtype(0.0)
-        # one loop, not two: a GPU's compiler unrolls each four times, which takes twice the registers
-        for n in range(side * side):
-            k = n // side
-            m = n - k * side
-            row = i + k - side // 2
-            column = j + m - side // 2
-            if row >= 0 and column >= 0 and row < fields.shape[2] and column < fields.shape[3]:
-                both = fields[b, first, row, column] + beta * fields[b, second, row, column]
-                total += stencil[b, k, m] * both
-        return total
-
-    return product_at
-
-
-@cache
-def make_start(dtype: type) -> wp.Kernel:
-    """Build the first residual; launch: one thread per (window, module row)."""
-    product_at = make_product_at(dtype)
-
-    @wp.kernel(module=module_of("solve_rows", dtype))
-    def start(
-        rhs: wp.array3d(dtype=dtype),
-        stencil: wp.array3d(dtype=dtype),
-        damping: wp.array(dtype=dtype),
-        space_idx: wp.array(dtype=wp.int32),
-        free: wp.array3d(dtype=wp.int32),
-        bounds: wp.array2d(dtype=wp.int32),
-        unclear: wp.array2d(dtype=wp.int32),
-        enough: wp.array(dtype=wp.int32),
-        q: wp.array4d(dtype=dtype),
-        fields_out: wp.array4d(dtype=dtype),
-        rows_out: wp.array3d(dtype=dtype),
-        iterations_out: wp.array(dtype=wp.int32),
-    ):
-        b, i = wp.tid()
-        m = space_idx[b]
-        left_unclear = wp.int32(0)
-        for k in range(unclear.shape[1]):
-            left_unclear += unclear[b, k]
-        # of a window that is clear enough nothing is free: its residual is 0
-        inside = left_unclear > enough[m] and i >= bounds[m, 0] and i < bounds[m, 1]
-        norm = dtype(0.0)
-        for j in range(q.shape[3]):
-            r = dtype(0.0)
-            if inside and j >= bounds[m, 2] and j < bounds[m, 3] and free[m, i, j] != 0:
-                product = product_at(stencil, q, 0, 0, dtype(0.0), b, i, j)
-                r = -rhs[b, i, j] - product - damping[b] * q[b, 0, i, j]
-            fields_out[b, RESIDUAL, i, j] = r
-            fields_out[b, DIRECTION, i, j] = dtype(0.0)
-            norm += r * r
-        rows_out[b, 0, i] = norm
-        rows_out[b, 1, i] = norm
-        rows_out[b, 2, i] = dtype(0.0)
-        rows_out[b, 3, i] = norm
-        if i == 0:
-            iterations_out[b] = 0
-
-    return start
-
-
-@cache
-def make_apply(dtype: type) -> wp.Kernel:
-    """Build the new direction and its product with the system; launch: one thread per (window, row)."""
-    sum_rows = make_sum_rows(dtype)
-    product_at = make_product_at(dtype)
-
-    @wp.kernel(module=module_of("solve_rows", dtype), launch_bounds=launch_bounds(dtype))
-    def apply(
-        stencil: wp.array3d(dtype=dtype),
-        damping: wp.array(dtype=dtype),
-        space_idx: wp.array(dtype=wp.int32),
-        free: wp.array3d(dtype=wp.int32),
-        bounds: wp.array2d(dtype=wp.int32),
-        tolerance: dtype,
-        direction: int,
-        next_direction: int,
-        fields_inout: wp.array4d(dtype=dtype),
-        rows_inout: wp.array3d(dtype=dtype),
-    ):
-        b, i = wp.tid()
-        norm = sum_rows(rows_inout, b, 1)
-        if norm <= tolerance * tolerance * sum_rows(rows_inout, b, 0):
-            return
-        m = space_idx[b]
-        beta = norm / sum_rows(rows_inout, b, 3)
-        inside = i >= bounds[m, 0] and i < bounds[m, 1]
-        curvature = dtype(0.0)
-        for j in range(fields_inout.shape[3]):
-            own = fields_inout[b, RESIDUAL, i, j] + beta * fields_inout[b, direction, i, j]
-            total = dtype(0.0)
-            if inside and j >= bounds[m, 2] and j < bounds[m, 3] and free[m, i, j] != 0:
-                # the neighbours' new directions, perhaps not yet written by their owners, are made again here
-                total = product_at(stencil, fields_inout, RESIDUAL, direction, beta, b, i, j)
-                total += damping[b] * own
-            fields_inout[b, next_direction, i, j] = own
-            fields_inout[b, PRODUCT, i, j] = total
-            curvature += total * own
-        rows_inout[b, 2, i] = curvature
-
-    return apply
-
-
-@cache
-def make_update(dtype: type) -> wp.Kernel:
-    """Build the step along the direction; launch: one thread per (window, module row)."""
-    sum_rows = make_sum_rows(dtype)
-
-    @wp.kernel(module=module_of("solve_rows", dtype))
-    def update(
-        tolerance: dtype,
-        direction: int,
-        rows: wp.array3d(dtype=dtype),
-        rows_out: wp.array3d(dtype=dtype),
-        fields_inout: wp.array4d(dtype=dtype),
-        q_inout: wp.array3d(dtype=dtype),
-        iterations_inout: wp.array(dtype=wp.int32),
-    ):
-        b, i = wp.tid()
-        rows_out[b, 0, i] = rows[b, 0, i]
-        rows_out[b, 1, i] = rows[b, 1, i]
-        rows_out[b, 3, i] = rows[b, 1, i]
-        norm = sum_rows(rows, b, 1)
-        if norm <= tolerance * tolerance * sum_rows(rows, b, 0):
-            return
-        step = norm / sum_rows(rows, b, 2)
-        norm_row = dtype(0.0)
-        for j in range(q_inout.shape[2]):
-            q_inout[b, i, j] = q_inout[b, i, j] + step * fields_inout[b, direction, i, j]
-            r = fields_inout[b, RESIDUAL, i, j] - step * fields_inout[b, PRODUCT, i, j]
-            fields_inout[b, RESIDUAL, i, j] = r
-            norm_row += r * r
-        rows_out[b, 1, i] = norm_row
-        if i == 0:
-            iterations_inout[b] = iterations_inout[b] + 1
-
-    return update
-
-
-def solve_rows(
-    rhs, stencil, damping, space_idx, free, bounds, unclear, enough, scratch, q_inout, iterations_out,
-    max_iterations, tolerance,
-) -> None:  # fmt: skip
-    """Launch the GPU's variant; q is updated in place, the rest overwritten."""
-    dtype, device, rows = rhs.dtype, rhs.device, rhs.shape[:2]
-    fields, sums, next_sums = scratch
-    system = stencil, damping, space_idx, free, bounds
-    launch(
-        make_start(dtype),
-        rows,
-        inputs=[rhs, *system, unclear, enough, q_inout.reshape((rows[0], 1, *q_inout.shape[1:]))],
-        outputs=[fields, sums, iterations_out],
-        device=device,
-    )
-    direction, next_direction = int(DIRECTION), int(NEXT_DIRECTION)
-    for _ in range(max_iterations):
-        launch(
-            make_apply(dtype),
-            rows,
-            inputs=[*system, tolerance, direction, next_direction],
-            outputs=[fields, sums],
-            device=device,
-        )
-        launch(
-            make_update(dtype),
-            rows,
-            inputs=[tolerance, next_direction, sums],
-            outputs=[next_sums, fields, q_inout, iterations_out],
-            device=device,
-        )
-        direction, next_direction = next_direction, direction
-        sums, next_sums = next_sums, sums
-
-
 def solve_code(
     rhs, stencil, damping, space_idx, free, bounds, unclear, enough, max_iterations: int, tolerance: float,
-    fields_out, sums_out, next_sums_out, q_inout, iterations_out,
+    fields_out, direction_out, q_inout, iterations_out,
 ) -> None:  # fmt: skip
-    """Launch the variant that suits the device."""
-    launch_variant = solve_windows if rhs.device.is_cpu else solve_rows
-    scratch = fields_out, sums_out, next_sums_out
+    """Launch a thread a window, or a block, as the table has it for the device."""
+    launch_variant = solve_blocks if variant("solve_code", rhs.device).lanes > 1 else solve_windows
+    scratch = fields_out, direction_out
     launch_variant(
         rhs, stencil, damping, space_idx, free, bounds, unclear, enough, scratch, q_inout, iterations_out,
         max_iterations, tolerance,

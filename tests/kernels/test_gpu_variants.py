@@ -12,11 +12,12 @@ from . import cases
 from .helpers import Runner, assert_close
 from .test_align import EXACT, SIDES, align
 from .test_batches import ALL
+from .test_solve import EXACT as EXACT_SOLUTION
+from .test_solve import solve
 
 pytest.importorskip("warp")
 
 from evqr_kernels import warp_backend
-from evqr_kernels.warp_backend import align as warp_align
 from evqr_kernels.warp_backend import language, render, render_adjoint, splat, splat_adjoint
 
 SPLATS = [
@@ -36,10 +37,7 @@ def warp_as_on_gpus(monkeypatch):
     def as_on_gpus(make, **variant):
         return lambda *args, **chosen: make(*args, **{**chosen, **variant})
 
-    for module, make, variant in (
-        (render, "make_render_code", {"on_cpu": False}),
-        (warp_align, "make_align_poses", {"unrolled": False}),
-    ):
+    for module, make, variant in ((render, "make_render_code", {"on_cpu": False}),):
         monkeypatch.setattr(module, make, as_on_gpus(getattr(module, make), **variant))
 
     for module in (splat, splat_adjoint):
@@ -80,6 +78,17 @@ def test_align_as_on_gpus(tilt, sides, dtype):
     expected, expected_values = align("numpy", dtype, tilt, **options)
     assert_close(poses, expected, EXACT[np.dtype(dtype)])
     assert_close(values[:, :3], expected_values[:, :3], EXACT[np.dtype(dtype)])
+
+
+@pytest.mark.parametrize("shape", [(12, 12), (5, 14), (110, 108)], ids=str)
+@pytest.mark.parametrize("tolerance", [0.0, 1e-2])
+def test_solve_as_on_gpus(tolerance, shape, warp_as_on_gpus, spec, dtype, rng):
+    """With room for the direction in memory that a block shares, and without."""
+    system, limit = cases.systems(rng, dtype, shape), 5 if tolerance == 0.0 else 100
+    found = solve(warp_as_on_gpus, system, max_iterations=limit, tolerance=tolerance)
+    expected = solve(spec, system, max_iterations=limit, tolerance=tolerance)
+    assert_close(found[0], expected[0], EXACT_SOLUTION[np.dtype(dtype)])
+    np.testing.assert_array_equal(found[1], expected[1])
 
 
 @pytest.mark.parametrize("epsilon_px", [1.0, 2.0, 4.0])

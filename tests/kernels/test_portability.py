@@ -20,8 +20,10 @@ portability = importlib.util.module_from_spec(spec)
 spec.loader.exec_module(portability)
 
 SETTINGS = {
-    "budgets": {"float32": {"registers": 64, "stack": 0, "local": 0, "atomics": 0}},
+    "budgets": {"float32": {"registers": 64, "stack": 0, "local": 0}},
     "atomics": {"float32": {"scatter": 2}},
+    "shared": {"float32": {"block": 4096}},
+    "barriers": {"float32": {"block": 3}},
     "matrices": {"kernels": ["matrix"], "float32": 96},
     "exceptions": {"file_? wide float32": {"registers": 70, "reason": "it is wide"}},
 }
@@ -34,6 +36,7 @@ DUMP = """
         /*1491*/    STL.64 [R1+0x1b8], RZ ;
         /*1492*/    LDL R2, [R1] ;
         /*1493*/    REDUX.SUM UR4, R2 ;
+        /*1494*/    BAR.SYNC.DEFER_BLOCKING 0x0 ;
 """
 
 
@@ -67,6 +70,12 @@ def test_splats_are_built_as_gpus_run_them(file):
         (replace(PLAIN, local=1), "file_4 plain float32 sm_90: 1 local, the budget is 0"),
         (replace(PLAIN, atomics=1), "file_4 plain float32 sm_90: 1 atomics, the budget is 0"),
         (replace(PLAIN, kernel="scatter", atomics=2), None),
+        (replace(PLAIN, kernel="block", shared=4096, barriers=3), None),
+        (replace(PLAIN, barriers=1), "file_4 plain float32 sm_90: 1 barriers, the budget is 0"),
+        (
+            replace(PLAIN, kernel="block", shared=4097),
+            "file_4 block float32 sm_90: 4097 shared, the budget is 4096",
+        ),
         (replace(PLAIN, kernel="matrix", registers=96), None),
         (
             replace(PLAIN, kernel="matrix", registers=97),
@@ -94,4 +103,4 @@ def test_what_the_disassembler_says_is_read(monkeypatch, tmp_path):
     monkeypatch.setattr(portability, "cuobjdump", lambda: "cuobjdump")
     monkeypatch.setattr(portability.subprocess, "run", Done)
     (usage,) = portability.usages(tmp_path, "file", "float32", 90)
-    assert usage == portability.Usage("file", "one", "float32", 90, 40, 16, local=2, atomics=1)
+    assert usage == portability.Usage("file", "one", "float32", 90, 40, 16, 2, 1, 2048, 1)

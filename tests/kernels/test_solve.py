@@ -1,6 +1,4 @@
-"""Conjugate gradients: against a dense solution, and both variants of the Warp backend."""
-
-import importlib
+"""Conjugate gradients: against a dense solution, and against the specification."""
 
 import numpy as np
 import pytest
@@ -13,16 +11,16 @@ EXACT = {np.dtype(np.float32): 2e-4, np.dtype(np.float64): 1e-9}
 """A solution is its condition, some tens here, worse than the rounding of its steps."""
 
 
-def solve(runner, system, *, max_iterations=200, tolerance=0.0, op="solve_code"):
+def solve(runner, system, *, max_iterations=200, tolerance=0.0):
     """Copy, solve, and give q and the number of iterations."""
     *inputs, start = system if len(system) == 9 else of_one_code(system)
     rhs = inputs[0]
     backend, device, dtype = runner.backend, runner.device, rhs.dtype
     q = backend.from_host(start.copy(), device)
     iterations = backend.from_host(np.full(len(rhs), -1, np.int32), device)
-    scratch = [filled((len(rhs), 5, *rhs.shape[1:]), dtype)]
-    scratch += [filled((len(rhs), 4, rhs.shape[1]), dtype) for _ in range(2)]
-    getattr(backend, op)(
+    around = [size + inputs[1].shape[1] - 1 for size in rhs.shape[1:]]
+    scratch = [filled((len(rhs), 5, *rhs.shape[1:]), dtype), filled((len(rhs), *around), dtype)]
+    backend.solve_code(
         *(backend.from_host(array.copy(), device) for array in inputs),
         max_iterations,
         tolerance,
@@ -143,32 +141,3 @@ def test_nothing_to_do(what, placed, dtype, rng):
     q, iterations = solve(placed, system, max_iterations=0 if what == "no iterations" else 9, tolerance=1e-3)
     np.testing.assert_array_equal(q, system[4])
     np.testing.assert_array_equal(iterations, 0)
-
-
-@pytest.mark.parametrize("shape", [(12, 12), (5, 14), (14, 5)], ids=str)
-@pytest.mark.parametrize("tolerance", [0.0, 1e-2])
-@pytest.mark.parametrize("make", [cases.system, cases.systems])
-def test_variant_for_gpus_equals_the_specification(make, tolerance, shape, placed, spec, dtype, rng):
-    """The variant of one thread a row, which a CPU does not take by itself."""
-    variants = importlib.import_module(f"evqr_kernels.{placed.backend.name}_backend.solve")
-
-    class Rows:
-        from_host, to_host, synchronize = (
-            placed.backend.from_host,
-            placed.backend.to_host,
-            placed.backend.synchronize,
-        )
-
-        @staticmethod
-        def solve_code(*arguments):
-            *inputs, max_iterations, tolerance = arguments[:10]
-            *scratch, q, iterations = arguments[10:]
-            variants.solve_rows(*inputs, scratch, q, iterations, max_iterations, tolerance)
-
-    system = make(rng, dtype, shape)
-    rows = type("RowsRunner", (), {"backend": Rows, "device": placed.device})
-    limit = 5 if tolerance == 0.0 else 100
-    q, iterations = solve(rows, system, max_iterations=limit, tolerance=tolerance)
-    expected, expected_iterations = solve(spec, system, max_iterations=limit, tolerance=tolerance)
-    assert_close(q, expected, EXACT[np.dtype(dtype)])
-    np.testing.assert_array_equal(iterations, expected_iterations)

@@ -11,8 +11,8 @@ import evqr_kernels
 PACKAGE = Path(evqr_kernels.__file__).parent
 FILES = sorted(PACKAGE.glob("*_backend/*.py"))
 MOST_PARAMETERS = 14
-LONGER = {"align_poses": 15, "sum_equations": 24}
-"""Kernels with more: one reads a part of an image, the other adds all arrays of two systems."""
+LONGER = {"align_poses": 15, "align_blocks": 15, "sum_equations": 24}
+"""Kernels with more: some read a part of an image, another adds all arrays of two systems."""
 MOST_LINES = 600
 
 

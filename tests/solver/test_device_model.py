@@ -97,9 +97,9 @@ def test_events_are_shared_out_among_threads_and_added_one_by_one():
 
 def test_conjugate_gradients_that_have_ended_do_no_more_work():
     given = {"rhs": (1, 20, 30), "stencil": (1, 5, 5), "max_iterations": 40}
-    all_of_them = device_work.work_of("solve_code.apply", device_work.Sizes(given, 0, 20))
-    some = device_work.work_of("solve_code.apply", device_work.Sizes(given, 0, 20, iterations=10.0))
-    assert all_of_them.steps == 30 * 25 and some.steps == 30 * 25 / 4
+    all_of_them = device_work.work_of("solve_code.solve_blocks", device_work.Sizes(given, 0, 256))
+    some = device_work.work_of("solve_code.solve_blocks", device_work.Sizes(given, 0, 256, iterations=10.0))
+    assert all_of_them.steps == 41 * 3 * 25 and some.steps == 11 * 3 * 25  # three modules a thread
 
 
 def test_a_batch_takes_what_its_parts_take():
