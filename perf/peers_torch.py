@@ -18,7 +18,7 @@ def _tensors(*arrays: Any) -> list[Any]:
     import torch
 
     torch.set_num_threads(1)
-    return [torch.from_numpy(array.copy()) for array in arrays]
+    return [torch.from_numpy(array.copy()).to(torch.get_default_device()) for array in arrays]
 
 
 def _window_of_events(window_ptr: np.ndarray) -> Any:

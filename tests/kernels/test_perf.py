@@ -12,6 +12,7 @@ import pytest
 
 sys.path.insert(0, str(Path(__file__).parents[2] / "perf"))
 
+import on_gpu
 import op_times
 import ops
 import peers
@@ -22,6 +23,7 @@ from problems import TOLERANCE, Prepared, Problem, Size, distance
 
 from evqr_kernels import OPERATIONS
 
+PERF = Path(on_gpu.__file__).parent
 SMALL = Size(batch=2, events=60, side=40, modules=21)
 
 
@@ -127,3 +129,32 @@ def test_rows_are_judged_printed_and_compared(tmp_path):
     text = table.as_human({"commit": "abc"}, rows)
     assert "required 1.0: MISSED" in text
     assert "base 2.00 x" in text
+
+
+def test_every_command_is_in_the_list():
+    listed = (PERF / "README.md").read_text()
+    commands = [path.name for path in PERF.glob("*.py") if '__name__ == "__main__"' in path.read_text()]
+    assert len(commands) > 20
+    assert [name for name in commands if name not in listed] == []
+
+
+def test_what_parts_print_becomes_a_page_and_a_table(tmp_path):
+    printed = (
+        "way tracked, windows 8, device cuda:0, median_ms 0.5\n"
+        "tracked, B = 8, 10000 events a window: 14 launches\n"
+        "  H100     PCIe 4:       810 windows/s, 1.23 ms: Python 0.49\n"
+    )
+    tell = on_gpu.Part("windows", [sys.executable, "-c", f"print({printed!r})"], 60)
+    fail = on_gpu.Part("tests", [sys.executable, "-c", "import sys; sys.exit('no such device')"], 60)
+    done = [on_gpu.run(part, 60) for part in (tell, fail)]
+    assert [each.outcome for each in done] == ["done", "exit status 1"]
+    assert done[0].rows[1]["windows_a_second"] == "810"
+    on_gpu.write(tmp_path, done, [replace(tell, name="model")], "cuda:0")
+    page = (tmp_path / "on_gpu.md").read_text()
+    assert "| tracked | 8 | cuda:0 | 0.5 |" in page and "no such device" in page and "time: model." in page
+    assert "windows,done,tracked,8,cuda:0,0.5" in (tmp_path / "on_gpu.csv").read_text()
+
+
+def test_a_part_that_takes_too_long_is_ended():
+    slow = on_gpu.Part("slow", [sys.executable, "-c", "import time; time.sleep(60)"], 60)
+    assert on_gpu.run(slow, 0.5).outcome == "took longer than 0 s"
