@@ -23,7 +23,7 @@ from problems import TOLERANCE, Prepared, Problem, Size, distance
 
 from evqr_kernels import OPERATIONS
 
-PERF = Path(on_gpu.__file__).parent
+PERF = Path(__file__).parents[2] / "perf"
 SMALL = Size(batch=2, events=60, side=40, modules=21)
 
 
