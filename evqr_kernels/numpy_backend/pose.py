@@ -10,7 +10,8 @@ def sample_moments(image, image_idx, pose, active, points, table, chunks_out, mo
     """Moments of images seen through poses; overwrites those of active poses."""
     for h in np.flatnonzero(active):
         e = bilinear(image[image_idx[h]], *project(pose[h], points[:, 0], points[:, 1]))
-        moments_out[h, :-1] = e @ table
+        seen = e != 0  # nothing counts no times what is not finite
+        moments_out[h, :-1] = e[seen] @ table[seen]
         moments_out[h, -1] = e @ e
 
 

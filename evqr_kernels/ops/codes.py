@@ -184,8 +184,8 @@ def align_poses(
     three poses with perspective is not found.
 
     Cost: an iteration takes a pass over all points, as `sample_moments` does, and a few thousand
-    multiply-adds; one pass more scores the last pose.  One thread a pose, which stops when its pose does; no
-    scratch.  The Gram matrix, S C^2 multiply-adds, is made by NumPy.
+    multiply-adds; one pass more scores the last pose.  One thread a pose on a CPU, a block of threads on a
+    GPU, which stop when their pose does; no scratch.  The Gram matrix, S C^2 multiply-adds, is made by NumPy.
 
     Determinism: bit for bit.
     """
@@ -480,9 +480,9 @@ def solve_code(
     Notes
     -----
     Cost: K^2 + 6 multiply-adds a module and iteration.  On a CPU one thread a window, which stops when it has
-    converged; on a GPU one thread a row of modules, 2 K^2, and two launches an iteration up to
-    ``max_iterations``, in which windows that have converged do nothing.  Scratch of
-    (B, 5, V, U) and twice (B, 4, V).
+    converged; on a GPU a block of threads a window, likewise, in the same one launch.  Its direction lies in
+    memory that the block shares, up to some 100 modules a side.  Scratch of (B, 5, V, U) and
+    (B, V + K - 1, U + K - 1).
 
     Determinism: bit for bit.
     """

@@ -92,7 +92,7 @@ def make_align_poses(dtype, columns: int, alone: bool):
                 for s in range(begin, end):
                     x, y = project(pose_inout, h, points[s, 0], points[s, 1])
                     e = bilinear_in_part(image, b, top, height, width, x, y)
-                    if e != dtype(0.0):
+                    if not e == dtype(0.0):  # NaN, too
                         at = run_at(s * columns)
                         for c in ti.static(range(columns)):
                             moments[c] += e * table[0, at + c]

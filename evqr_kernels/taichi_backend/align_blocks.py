@@ -79,7 +79,7 @@ def make_align_blocks(dtype, columns: int, lanes: int):
                         e = bilinear_in_part(
                             image, image_idx[h], image_part[h, 0], image_part[h, 1], image_part[h, 2], x, y
                         )
-                        if e != dtype(0.0):
+                        if not e == dtype(0.0):  # NaN, too
                             for c in ti.static(range(columns)):
                                 own[c] += e * table[s, c]
                             own[columns] += e * e

@@ -93,7 +93,7 @@ def make_moments_of_chunks(dtype, columns: int):
                 for s in range(chunk * length, ti.min((chunk + 1) * length, count)):
                     x, y = project(pose, h, points[s, 0], points[s, 1])
                     e = bilinear(image, b, x, y)
-                    if e != dtype(0.0):
+                    if not e == dtype(0.0):  # NaN, too
                         at = run_at(s * columns)
                         for c in ti.static(range(columns)):
                             moments[c] += e * table[0, at + c]

@@ -271,6 +271,10 @@ NEAR = [
     cases.code_product,
     cases.pose_normal_equations,
     cases.local_maxima,
+    cases.sample_moments,
+    cases.score_poses,
+    cases.code_rhs,
+    cases.code_normal_equations,
 ]
 
 
