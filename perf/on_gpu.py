@@ -65,14 +65,14 @@ class Done:
     ----------
     outcome   "done", or why not
     rows      its figures
-    told      the last lines that it printed
+    printed      the last lines that it printed
     """
 
     part: Part
     outcome: str
     seconds: float = 0.0
     rows: list[dict[str, str]] = field(default_factory=list)
-    told: str = ""
+    printed: str = ""
 
 
 def parts(device: str, recordings: Path | None, dry: bool) -> list[Part]:
@@ -162,7 +162,7 @@ def page(done: Sequence[Done], left_out: Sequence[Part], title: str) -> str:
             if each.outcome != "done" or not each.rows:
                 command = " ".join(each.part.command[1:]).replace(str(ROOT) + "/", "")
                 lines += [f"`{command}`: {each.outcome}, {each.seconds:.0f} s", ""]
-                lines += ["```text", each.told, "```", ""]
+                lines += ["```text", each.printed, "```", ""]
     if left_out:
         lines += [
             f"Not run, for want of time: {', '.join(dict.fromkeys(part.name for part in left_out))}.",
@@ -183,7 +183,7 @@ def write(folder: Path, done: Sequence[Done], left_out: Sequence[Part], title: s
         writer.writerows(rows)
 
 
-def torch_rivals(device: str, dry: bool) -> int:
+def torch_baselines(device: str, dry: bool) -> int:
     """Time what a user of PyTorch writes, on the same device; a line an operation and batch."""
     import cases
     import ops
@@ -225,7 +225,7 @@ def main() -> int:
     options = parser.parse_args()
     device = "cpu" if options.dry else options.device
     if options.torch:
-        return torch_rivals(device, options.dry)
+        return torch_baselines(device, options.dry)
     import profilers
 
     profilers.require("warp", device)
