@@ -37,6 +37,10 @@ SIZES_AN_EDGE = 6
 END_PX = 1.5
 """How well the length of an edge is known."""
 
+LEAST_BUSY = 0.3
+"""Share of places beside an edge at which something happens, where the symbol would be: in symbols it was
+seen to be 0.75 and more, 0.4 in a window with few events, and nearly 0 where nothing is printed."""
+
 ALONG = 0.35
 """Share of the motion across a leg, below which it is not taken for granted that it is found."""
 
@@ -85,12 +89,14 @@ def _hypotheses(edges: Edges, direction: NDArray[np.float64], first: int, cfg: R
     edge, leg, stretched = _stretched(edge, leg, modules, module_px, shown)
     made = []
     for inverted in (False, True):
-        into = normal * (-dark_side if inverted else dark_side)[:, None]
+        side = -dark_side if inverted else dark_side
+        into = normal * side[:, None]
+        full = np.where(side > 0.0, edges.busy[:, 0], edges.busy[:, 1]) >= LEAST_BUSY
         for swapped in (False, True):
             corner, along = (edges.end, -way) if swapped else (edges.start, way)
             # a square and its mirror image have one outline: one of the two is enough
             turned = (along[:, 0] * into[:, 1] - along[:, 1] * into[:, 0]) > 0.0
-            keep = ~square[leg] | (turned[edge] != bottom[leg])
+            keep = (~square[leg] | (turned[edge] != bottom[leg])) & full[edge]
             e, n, stretch = edge[keep], leg[keep], stretched[keep]
             px = module_px[e, n][:, None]
             a, b = along[e] / length[e, None] * px, into[e] * px * stretch[:, None]

@@ -40,6 +40,15 @@ SAMPLES = 24
 PLACES = 160
 """The same, where its ends are looked for."""
 
+BESIDE = 12
+"""The same, where it is looked at what is beside it."""
+
+BESIDE_CELLS, BESIDE_SHARE = (2.0, 3.2, 4.6, 6.0), (0.05, 0.1, 0.17, 0.25)
+"""How far off that is: a few cells, where modules are small; parts of its length, where they are large."""
+
+BUSY = 0.5
+"""Strength from which on something happens at a place, in that of the edge."""
+
 
 @dataclass(frozen=True, eq=False)
 class Edges:
@@ -51,11 +60,15 @@ class Edges:
         Where they begin and end.
     sign : (N,) float64
         1 where the event image is light along the edge, -1 where it is dark.
+    busy : (N, 2) float64
+        Share of places beside the edge at which something happens: on the side to which the way along it is
+        turned by a right angle from x to y, and on the other.
     """
 
     start: NDArray[np.float64]
     end: NDArray[np.float64]
     sign: NDArray[np.float64]
+    busy: NDArray[np.float64]
 
     def __len__(self) -> int:
         return len(self.sign)
@@ -132,8 +145,9 @@ def straight_edges(
     found = []
     for k, image, threshold in zip(windows, images, thresholds, strict=True):
         start, end, sign = _edges(image, (finest.rows, finest.columns), runs[k], threshold, cfg)
+        busy = _busy(image, start, end, sign)
         corner = np.array([pyramid.regions[k].x, pyramid.regions[k].y])
-        found.append(Edges(corner + cell * (start + 0.5), corner + cell * (end + 0.5), sign))
+        found.append(Edges(corner + cell * (start + 0.5), corner + cell * (end + 0.5), sign, busy))
     return found
 
 
@@ -289,6 +303,31 @@ def _ended(
     step = (share[1] - share[0]) * np.ones_like(length)
     first, last = (-beyond + step * (each + off) for each, off in ((first, -0.5), (last, 0.5)))
     return start + way * first[:, None], start + way * last[:, None]
+
+
+def _busy(
+    image: NDArray[np.float32],
+    start: NDArray[np.float64],
+    end: NDArray[np.float64],
+    sign: NDArray[np.float64],
+) -> NDArray[np.float64]:
+    """Give `Edges.busy`: the more of what is a few cells off, and of what is a part of the length off."""
+    way = end - start
+    length = np.maximum(np.hypot(*way.T), 1e-9)
+    normal = np.stack([-way[:, 1], way[:, 0]], axis=1) / length[:, None]
+    share = (np.arange(BESIDE) + 0.5) / BESIDE
+    on_edge = start[:, None] + way[:, None] * share[:, None]  # (N, BESIDE, 2)
+    x, y = np.moveaxis(on_edge, -1, 0)
+    least = BUSY * np.maximum(np.median(sign[:, None] * _seen(image, x, y), axis=1), 1e-9)
+    off = np.stack([np.tile(BESIDE_CELLS, (len(way), 1)), length[:, None] * BESIDE_SHARE], axis=1)
+    off = np.stack([off, -off], axis=1)[..., None, None] * normal[:, None, None, None, None]
+    places = np.rint(on_edge[:, None, None, None] + off).astype(np.intp)  # (N, side, kind, depth, BESIDE, 2)
+    column, row = np.moveaxis(places, -1, 0)
+    rows, columns = image.shape
+    inside = (column >= 0) & (row >= 0) & (column < columns) & (row < rows)
+    there = np.abs(image.ravel()[np.where(inside, row * columns + column, 0)])
+    happens = inside & (there > least[:, None, None, None, None])
+    return happens.mean(axis=(3, 4)).max(axis=2)
 
 
 def _seen(image: NDArray[np.float32], x: NDArray[np.float64], y: NDArray[np.float64]) -> NDArray[np.float64]:

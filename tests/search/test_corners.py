@@ -11,13 +11,15 @@ from evqr.events.batch import EventBatch
 from evqr.events.window import make_window
 from evqr.fit.detection import NotFound
 from evqr.motion import Motion
-from evqr.search.edges import straight_edges
+from evqr.search.corners import LEAST_BUSY, _hypotheses
+from evqr.search.edges import Edges, straight_edges
 from evqr.search.finder import find_patterns
 from evqr.search.models import dashes, sizes
 from evqr.simulate.geometry import transform
 from evqr.solver import Solver
 from evqr.symbol import data_matrix
 from evqr.symbol.decode import decode_grid
+from evqr.symbol.symbols import SYMBOLS
 from evqr.symbology import Symbology
 
 
@@ -99,6 +101,27 @@ def test_edges_are_the_legs_of_the_l(solver):
         normal *= np.sign(normal @ into)
         # dark comes in along the motion: less light, OFF events, of which the image has the opposite sign
         assert edges.sign[k] == np.sign(normal @ motion.direction)
+        along = edges.end[k] - edges.start[k]
+        inner, outer = edges.busy[k] if normal @ [-along[1], along[0]] > 0 else edges.busy[k][::-1]
+        assert inner > 2.0 * LEAST_BUSY and outer < inner
+
+
+@pytest.mark.parametrize("busy", [(0.0, 0.0), (1.0, 0.0), (0.0, 1.0), (1.0, 1.0)])
+def test_symbols_lie_where_something_happens(busy, solver):
+    """To the right of an edge that runs up, to the left, on either side, or nowhere."""
+    start, end = np.array([[100.0, 200.0]]), np.array([[100.0, 120.0]])
+    edges = Edges(start, end, np.ones(1), np.array([busy]))
+    made = _hypotheses(edges, np.array([1.0, 0.0]), 0, solver.config)
+    middles = [
+        transform(pose, np.array([[0.5, 0.5]]) * corners_of(*data_matrix_shape(size))[2])[0]
+        for pose, size in zip(made.pose, made.size, strict=True)
+    ]
+    sides = {bool(x > 100.0) for x, _ in middles}
+    assert sides == {side for side, there in zip((True, False), busy, strict=True) if there}
+
+
+def data_matrix_shape(size):
+    return SYMBOLS[Symbology.DATA_MATRIX].sizes[sizes()[size].version]
 
 
 def test_dashed_sides_are_those_of_the_symbols():
