@@ -282,6 +282,8 @@ def find_codes(
     ]
     upright = [k for k, one in enumerate(cfg.finder.passes) if one.slack <= 1.0]
     tilted = [k for k, one in enumerate(cfg.finder.passes) if one.slack > 1.0]
+    if Symbology.QR_CODE not in cfg.symbologies:
+        tilted = []  # no others have three patterns
     if not workspace.shared:
         upright = upright[-1:]  # to ask a device once more takes longer than to look for all at once
     for which in upright + tilted:
