@@ -71,6 +71,7 @@ class _Commands(click.Group):
         "demo": "evqr.cli.commands",
         "watch": "evqr.cli.watch",
         "doctor": "evqr.cli.doctor",
+        "calibrate": "evqr.cli.calibrate",
         "dataset": "evqr.paper.cli",
         "table1": "evqr.paper.cli",
     }

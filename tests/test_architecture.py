@@ -12,7 +12,7 @@ ROOT = Path(__file__).parents[1]
 FLOORS = (
     # from the ground up; what stands on one floor does not know what stands on those above it
     ("errors", "extras", "reason", "values", "clock", "symbology"),
-    ("config",),
+    ("config", "sensor_profile"),
     ("events", "motion", "geometry", "symbol"),
     ("recording", "simulate", "workspace", "device"),
     ("fit",),
@@ -21,7 +21,7 @@ FLOORS = (
     ("solvers", "work", "seen", "results"),
     ("stream",),
     ("offline",),
-    ("many", "output", "demo", "line"),
+    ("many", "output", "demo", "line", "calibrate"),
     ("archive", "sinks", "live"),
     ("page",),
     ("service",),

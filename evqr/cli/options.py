@@ -227,7 +227,13 @@ def config_options(command: Callable[..., Any]) -> Callable[..., Any]:
         from evqr.config import DecodeConfig, ReadConfig
 
         chosen = {name: given.pop(name) for name in _CONFIG}
-        decode = {"charset": chosen.pop("charset")}
+        decode, profile = {"charset": chosen.pop("charset")}, chosen.pop("sensor_profile")
+        if profile is not None:
+            from evqr.sensor_profile import read_profile
+
+            if chosen["lag_us"] is not None:
+                raise UsageError("--lag-us and --sensor-profile say the same: leave out one")
+            chosen["lag_us"] = read_profile(profile).lag_us
         try:
             config = ReadConfig(
                 decode=DecodeConfig(**decode), **{k: v for k, v in chosen.items() if v is not None}
@@ -261,6 +267,12 @@ _CONFIG = {
         type=LagType(),
         metavar="ON,OFF",
         help="Lags of the pixels, in microseconds; default: estimated.",
+    ),
+    "sensor_profile": click.option(
+        "--sensor-profile",
+        type=click.Path(),
+        metavar="FILE",
+        help="Lags of the pixels as evqr calibrate found them out.",
     ),
     "symbologies": click.option(
         "--symbologies",
