@@ -288,19 +288,21 @@ def small(module_px: float, seed: int) -> Made:
     return straight(seed, version=2, ec="H", module_px=module_px)
 
 
-def slow_pixels(bandwidth_hz: float, seed: int) -> Made:
-    """See a code of 310 modules a second by pixels of a bandwidth."""
+def slow_pixels(bandwidth_hz: float, seed: int, *, follows: bool = False) -> Made:
+    """See a code of 310 modules a second by pixels of a bandwidth, in full light or in any."""
     sensor = SensorConfig(
-        threshold_spread=0.03, tau_us=1e6 / (2.0 * math.pi * bandwidth_hz), tau_follows_light=False,
+        threshold_spread=0.03, tau_us=1e6 / (2.0 * math.pi * bandwidth_hz), tau_follows_light=follows,
         background_hz=1.0,
     )  # fmt: skip
     return straight(seed, version=2, ec="H", preset=sensor, speed_px_ms=1.55, travel_px=60.0)
 
 
-def fast(bandwidth_hz: float, readout_meps: float, modules_per_s: float, seed: int) -> Made:
-    """Let a code pass fast."""
+def fast(
+    bandwidth_hz: float, readout_meps: float, modules_per_s: float, seed: int, *, follows: bool = False
+) -> Made:
+    """Let a code pass fast, before pixels of a bandwidth, in full light or in any."""
     sensor = SensorConfig(
-        threshold_spread=0.03, tau_us=1e6 / (2.0 * math.pi * bandwidth_hz), tau_follows_light=False,
+        threshold_spread=0.03, tau_us=1e6 / (2.0 * math.pi * bandwidth_hz), tau_follows_light=follows,
         background_hz=5.0, readout_meps=readout_meps,
     )  # fmt: skip
     return straight(seed, version=2, ec="H", preset=sensor, speed_px_ms=5e-3 * modules_per_s, travel_px=60.0)
@@ -400,6 +402,25 @@ _ROWS = (
     Sweep(
         name="speed-2.5khz", parameter="speed, pixels of 2.5 kHz", unit="modules/s", goal=20_000.0,
         values=(2_500.0, 5_000.0, 10_000.0, 14_000.0, 20_000.0, 28_000.0), make=partial(fast, 2_500.0, 0.0),
+    ),
+    # pixels as slow as that in full light, and slower by as much as it is darker
+    Sweep(
+        name="slow-pixels-by-light", parameter="bandwidth in full light at 310 modules/s", unit="Hz", goal=30.0,
+        share=0.6, options=WINDOW_20, values=(300.0, 150.0, 100.0, 60.0, 40.0, 30.0),
+        make=partial(slow_pixels, follows=True),
+    ),
+    Sweep(
+        name="speed-15khz-by-light", parameter="speed, 15 kHz in full light", unit="modules/s",
+        goal=100_000.0, values=_SPEEDS[2:6], make=partial(fast, 15_000.0, 0.0, follows=True),
+    ),
+    Sweep(
+        name="speed-5khz-by-light", parameter="speed, 5 kHz in full light", unit="modules/s", goal=30_000.0,
+        values=(10_000.0, 17_000.0, 24_000.0, 30_000.0), make=partial(fast, 5_000.0, 0.0, follows=True),
+    ),
+    Sweep(
+        name="speed-2.5khz-by-light", parameter="speed, 2.5 kHz in full light", unit="modules/s",
+        goal=20_000.0, values=(5_000.0, 10_000.0, 14_000.0, 20_000.0),
+        make=partial(fast, 2_500.0, 0.0, follows=True),
     ),
 )  # fmt: skip
 SWEEPS: Mapping[str, Sweep] = {sweep.name: sweep for sweep in _ROWS}
