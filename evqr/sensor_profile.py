@@ -92,7 +92,7 @@ def read_profile(path: str | Path) -> SensorProfile:
         raise UsageError(f"{path}: {unknown[0]} is unknown; a sensor profile has {' and '.join(names)}")
     for name in names:
         value = said.get(name)
-        number = isinstance(value, int | float) and not isinstance(value, bool)
-        if not number or not 0.0 <= value <= LONGEST_US:
+        number = float(value) if isinstance(value, int | float) and not isinstance(value, bool) else -1.0
+        if not 0.0 <= number <= LONGEST_US:
             raise UsageError(f"{path}: {name} is {value!r}, but must be 0 to {LONGEST_US:g} us")
     return SensorProfile(**{name: float(said[name]) for name in names})

@@ -405,8 +405,8 @@ _ROWS = (
     ),
     # pixels as slow as that in full light, and slower by as much as it is darker
     Sweep(
-        name="slow-pixels-by-light", parameter="bandwidth in full light at 310 modules/s", unit="Hz", goal=30.0,
-        share=0.6, options=WINDOW_20, values=(300.0, 150.0, 100.0, 60.0, 40.0, 30.0),
+        name="slow-pixels-by-light", parameter="bandwidth in full light at 310 modules/s", unit="Hz",
+        goal=30.0, share=0.6, options=WINDOW_20, values=(300.0, 150.0, 100.0, 60.0, 40.0, 30.0),
         make=partial(slow_pixels, follows=True),
     ),
     Sweep(
