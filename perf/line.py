@@ -1,7 +1,7 @@
 #!/usr/bin/env python3
 """What a production line asks of one core: to keep up, to be in time, and to cost little while nothing moves.
 
-usage: line.py [--quick] [--rates 2 10 30] [--parts 6] [--rounds 7] [--skip NAME ...] [--json FILE]
+usage: line.py [--quick] [--rates 2 10 30] [--parts 6] [--rounds 7] [--minutes 7] [--skip NAME ...] [--json F]
 
 Streams are simulated once and kept in a folder for temporary files: 640x480, parts at 5 px/ms, in view half
 of the time, a third of them without a code; and noise alone.  The process is confined to one core.  Before
@@ -16,6 +16,9 @@ in time     from the chunk (1 ms) with the last event needed to the record, fed 
 idle        ns an event of noise, beside dv-processing's accumulator and `bin_packed_events`
 baseline    frames of 2 px of travel, each read by zxing-cpp, of the same stream
 two         two cameras on two cores over two processes that share nothing: gain of each over one alone
+goals       what is asked for, what was measured, and whether that is enough
+
+A row takes its share of the minutes, and one round at least.
 """
 
 from __future__ import annotations
@@ -45,7 +48,7 @@ from evqr_kernels import ops
 
 CHUNK_US = 1_000
 LATE_S, CONTROL_S = 2e-3, 0.2
-WARM = 3
+IDLE_EVENTS = 1_000_000
 FRAME_US, FRAME_EVERY_US = 400, 2_000
 HERE = Path(__file__).parent
 
@@ -118,9 +121,9 @@ def feed(passes: list[Pass], clock: Wall | Processor) -> Fed:
 
 
 def warm(reader: Reader, passes: list[Pass]) -> int:
-    """Let the first parts pass, for which the reader makes what it makes once; say when that ends [us]."""
+    """Let all parts pass, for which the reader makes what it makes once; say when that ends [us]."""
     end_us = 0
-    for one in passes[:WARM]:
+    for one in passes:
         for _, events in line_streams.chunks(one.events, CHUNK_US, end_us):
             reader.push(events)
         end_us += 2 * PASS_US
@@ -158,19 +161,20 @@ def timer_p99_s() -> float:
 class Rounds:
     """Rounds of a measurement, and which of them nothing else disturbed."""
 
-    def __init__(self, count: int) -> None:
-        self._count = count
-        self.quiet = 0
+    def __init__(self, count: int, seconds: float) -> None:
+        self._most, self._seconds = count, seconds
+        self._count = self.quiet = 0
 
     def of(self, run: Callable[[], Any]) -> list[Any]:
         """Run so many times; give what undisturbed runs gave, or all where none was."""
         kept, every = [], []
-        for _ in range(self._count):
+        ends_s = time.perf_counter() + self._seconds
+        while len(every) < self._most and (not every or time.perf_counter() < ends_s):
             before = timer_p99_s()
             every.append(run())
             if max(before, timer_p99_s()) < LATE_S:
                 kept.append(every[-1])
-        self.quiet = len(kept)
+        self._count, self.quiet = len(every), len(kept)
         return kept or every
 
     def __str__(self) -> str:
@@ -229,12 +233,13 @@ def in_time(rates: list[float], parts: int, rounds: Rounds) -> Iterator[dict[str
 
 def idle(rates: list[float], rounds: Rounds) -> Iterator[dict[str, Any]]:
     for rate in rates:
-        events = line_streams.noise(rate, 4 * PASS_US)
+        events = line_streams.noise(rate, round(IDLE_EVENTS / rate))
+        stores = dv_stores([part for _, part in line_streams.chunks(events, CHUNK_US)])
         cut = [part for _, part in line_streams.chunks(events, CHUNK_US)]
         contestants = {
             "Reader": lambda cut=cut: idle_reader(cut),
             "bin_packed_events": lambda cut=cut: idle_bin(cut),
-            "dv-processing": lambda cut=cut: idle_dv(cut),
+            "dv-processing": lambda stores=stores: idle_dv(stores),
         }
         count = len(events)
         runs = rounds.of(lambda now=contestants: {name: run() for name, run in now.items()})
@@ -272,12 +277,12 @@ def idle_bin(cut: list[EventArray]) -> float:
     return time.process_time() - begin
 
 
-def idle_dv(cut: list[EventArray]) -> float:
-    """Give events to an accumulator as it is by default, and take a frame a chunk."""
+def dv_stores(cut: list[EventArray]) -> list[Any]:
+    """Give chunks as dv-processing takes them, which takes long; none where it is not installed."""
     try:
         import dv_processing as dv
     except ImportError:
-        return float("nan")
+        return []
     stores = []
     for each in cut:
         store = dv.EventStore()
@@ -286,6 +291,15 @@ def idle_dv(cut: list[EventArray]) -> float:
         ):
             store.push_back(*event)
         stores.append(store)
+    return stores
+
+
+def idle_dv(stores: list[Any]) -> float:
+    """Give events to an accumulator as it is by default, and take a frame a chunk."""
+    if not stores:
+        return float("nan")
+    import dv_processing as dv
+
     accumulator = dv.Accumulator((WIDTH, HEIGHT))
     begin = time.process_time()
     for store in stores:
@@ -391,6 +405,39 @@ def _gain_of_counting(cores: list[int]) -> float:
 # ---- printed
 
 
+def goals(rows: list[dict[str, Any]]) -> Iterator[dict[str, Any]]:
+    """Give what is asked for beside what was measured; nothing where it was not."""
+
+    def found(part: str, name: str, **where: str) -> list[float]:
+        return [
+            row[name]
+            for row in rows
+            if row["part"] == part
+            and name in row
+            and all(row.get(key) == each for key, each in where.items())
+        ]
+
+    by_wall, ten, two = "in time, by the wall", "parts, 10 Mev/s", "parts, 2 Mev/s"
+    idle_ns = {
+        who: found("idle", "ns an event", noise="10 Mev/s", who=who) for who in ("Reader", "dv-processing")
+    }
+    ratios = [dv / reader for reader, dv in zip(*idle_ns.values(), strict=False)]
+    for what, values, least, most in (
+        ("10 Mev/s: processor / event", found("keeps up", "processor / event time", stream=ten), None, 1.0),
+        ("before it left, processor", found("keeps up", "before it left", stream=ten), 0.99, None),
+        ("before it left, wall", found(by_wall, "before it left", stream=two), 0.99, None),
+        ("2 Mev/s: ms p50", found(by_wall, "ms p50", stream=two), None, 5.0),
+        ("2 Mev/s: ms p99", found(by_wall, "ms p99", stream=two), None, 20.0),
+        ("idle 10 Mev/s: ns an event", idle_ns["Reader"], None, 20.0),
+        ("idle: dv-processing / Reader", ratios, 2.0, None),
+        ("two cameras: ratio", found("two cameras", "ratio"), 0.9, None),
+    ):
+        for value in values:
+            enough = (least is None or value >= least) and (most is None or value <= most)
+            goal = f"at least {least:g}" if most is None else f"at most {most:g}"
+            yield {"what": what, "measured": value, "goal": goal, "met": "yes" if enough else "NO"}
+
+
 def show(title: str, rows: Iterator[dict[str, Any]]) -> list[dict[str, Any]]:
     shown = []
     for row in rows:
@@ -410,6 +457,7 @@ def main() -> None:
     parser.add_argument("--rates", type=float, nargs="+", choices=list(line_streams.SENSORS), metavar="MEV_S")
     parser.add_argument("--parts", type=int)
     parser.add_argument("--rounds", type=int)
+    parser.add_argument("--minutes", type=float, default=7.0)
     parser.add_argument("--skip", nargs="+", default=[], choices=["keeps", "time", "idle", "baseline", "two"])
     parser.add_argument("--json", type=Path)
     parser.add_argument("--camera", type=float, help=argparse.SUPPRESS)
@@ -422,7 +470,8 @@ def main() -> None:
         return
     for rate in rates:
         line_streams.passes(rate, parts)
-    rounds = Rounds(given.rounds or (3 if given.quick else 7))
+    share_s = 60.0 * given.minutes / (len(rates) * 4 + 4)
+    rounds = Rounds(given.rounds or (3 if given.quick else 7), share_s)
     cores = sorted(os.sched_getaffinity(0))
     os.sched_setaffinity(0, set(cores[:1]))
     slow = [rate for rate in rates if rate <= 10.0]
@@ -436,6 +485,7 @@ def main() -> None:
     rows = [
         row for name, (title, make) in tables.items() if name not in given.skip for row in show(title, make())
     ]
+    show("goals", goals(rows))
     if given.json:
         given.json.write_text(json.dumps(rows, indent=1))
 
