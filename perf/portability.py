@@ -46,7 +46,7 @@ BARRIER = re.compile(r"\bBAR\.SYNC")
 MEASURES = ("registers", "stack", "local", "atomics", "shared", "barriers")
 
 OF_KERNELS = ("atomics", "shared", "barriers")
-"""What only the kernels need that portability.json names."""
+"""What the kernels that portability.json names need more of than others, of which most need none."""
 
 
 @dataclass
@@ -159,7 +159,7 @@ def limits(row: Usage, settings: dict[str, Any]) -> dict[str, int]:
     if row.kernel in settings["matrices"]["kernels"]:
         budget["registers"] = settings["matrices"][row.dtype]
     for measure in OF_KERNELS:
-        budget[measure] = settings[measure][row.dtype].get(row.kernel, 0)
+        budget[measure] = settings[measure][row.dtype].get(row.kernel, budget.get(measure, 0))
     exception = settings["exceptions"].get(exception_of(row, settings), {})
     return {**budget, **{name: exception[name] for name in budget if name in exception}}
 

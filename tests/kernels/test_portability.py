@@ -20,7 +20,7 @@ portability = importlib.util.module_from_spec(spec)
 spec.loader.exec_module(portability)
 
 SETTINGS = {
-    "budgets": {"float32": {"registers": 64, "stack": 0, "local": 0}},
+    "budgets": {"float32": {"registers": 64, "stack": 0, "local": 0, "shared": 1024}},
     "atomics": {"float32": {"scatter": 2}},
     "shared": {"float32": {"block": 4096}},
     "barriers": {"float32": {"block": 3}},
@@ -70,6 +70,7 @@ def test_splats_are_built_as_gpus_run_them(file):
         (replace(PLAIN, local=1), "file_4 plain float32 sm_90: 1 local, the budget is 0"),
         (replace(PLAIN, atomics=1), "file_4 plain float32 sm_90: 1 atomics, the budget is 0"),
         (replace(PLAIN, kernel="scatter", atomics=2), None),
+        (replace(PLAIN, shared=1024), None),  # which Warp takes itself
         (replace(PLAIN, kernel="block", shared=4096, barriers=3), None),
         (replace(PLAIN, barriers=1), "file_4 plain float32 sm_90: 1 barriers, the budget is 0"),
         (
