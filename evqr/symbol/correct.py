@@ -113,6 +113,7 @@ def correct_block(
     beside: NDArray[np.float64] | None = None,
     received: Symbols | None = None,
     syndromes: Symbols | None = None,
+    trust: Callable[[], NDArray[np.float64]] | None = None,
 ) -> Corrected | Doubt:
     """Correct one block.
 
@@ -136,6 +137,9 @@ def correct_block(
         Further modules that a chance content would have to agree with, times +1 where they do, else -1.
     received, syndromes : (n,) and (n_check,) uint8 or uint16, optional
         The block's words as they are, and their syndromes, where they are known already.
+    trust : callable, optional
+        Gives factors (width n,) on how certain bits are, 0 to 1, for the order in which words are erased;
+        they may come from signs as well, for the chance of a result does not depend on that order.
 
     Returns
     -------
@@ -165,7 +169,8 @@ def correct_block(
     doubtful: list[int] = []
     for n_erased in _tries(code.n_check, config, effort):
         if n_erased and not doubtful:
-            doubtful = _doubtful(strength, printed, code.width)
+            certain = strength if trust is None else strength * trust()
+            doubtful = _doubtful(certain, printed, code.width)
         words = code.correct(received, doubtful[:n_erased], syndromes=syndromes)
         if words is None:
             continue

@@ -16,6 +16,7 @@ from numpy.typing import NDArray
 
 from evqr.config import DecodeConfig
 from evqr.reason import Reason
+from evqr.symbol.blank import printed_share
 from evqr.symbol.chance import ORIENTATIONS, confidence, count_pads, log_sum
 from evqr.symbol.content import content_of
 from evqr.symbol.correct import Corrected, Doubt, correct_block
@@ -152,6 +153,9 @@ def _decode_format(
     hypotheses = math.log(ORIENTATIONS * formats)
     beside = q.ravel()[words.at] * words.signs[form.index] if evidence.format_counts else None
 
+    def trust() -> NDArray[np.float64]:
+        return np.abs(unmasked(printed_share(q), version, level, mask))
+
     def failed(reason: Reason, detail: str) -> DecodeFailure:
         return DecodeFailure(reason=reason, detail=detail, space=space, ec_level=level, mask=mask)
 
@@ -172,6 +176,7 @@ def _decode_format(
             beside=beside,
             received=codewords[block.codewords],
             syndromes=syndromes[index],
+            trust=lambda block=block: trust()[block.bits],
         )
         if isinstance(result, Doubt):
             place = f"{_named(form)}, block {index + 1} of {len(layout.blocks)}"
