@@ -427,8 +427,8 @@ class StreamScheduler:
         """
         asked, every = self._config.symbologies, self._config.scheduler.every_kind
         first = tuple(kind for kind in asked if kind in BY_THREE_PATTERNS)
-        thorough = vain % every == every - 1
-        return asked if thorough or not first else first, thorough
+        of_all = vain % every == every - 1 or not first
+        return asked if of_all else first, vain % (2 * every) == every - 1
 
     def _try(self, at_us: int, *, ahead: int | None = None) -> Activity[_Try]:
         """Search once; may run on any thread where it is so many ``ahead``, and changes nothing here then."""
@@ -451,10 +451,10 @@ class StreamScheduler:
         (found,) = yield [Find(self._outside_tracks(window), motion, self._tau_us, kinds, thorough)]
         if isinstance(found, NotFound):
             clock.add(found.timings_ms)
-            (turning,) = yield [FindTurning(self._outside_tracks(window), motion)]
-            if not turning:
+            turning = yield [FindTurning(self._outside_tracks(window), motion)] * thorough
+            if not any(turning):
                 return _Try(at_us, motion, window, replace(found, timings_ms=clock.ms))
-            return _Try(at_us, motion, window, turning)
+            return _Try(at_us, motion, window, turning[0])
         longer = self._events.window(start_us, max(end_us, known_us))
         best, *others = yield from self._each_with_its_motion(longer, window, found, clock)
         clock.add(best.timings_ms)
