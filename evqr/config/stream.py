@@ -26,9 +26,9 @@ class SchedulerConfig(Settings):
         enters, and a code that fills a third of the way is wholly in view in five.
     every_kind : int
         Of so many searches in a row in which something moves and no code is read, one is for all kinds of
-        symbols that are asked for, the others for QR and Micro QR codes; every second of these is for QR codes
-        that are tilted, bent, small or turning, too. Chosen: a search for all takes several times as long
-        where there is no code.
+        symbols that are asked for, the others for QR and Micro QR codes; every second of these is for QR
+        codes that are tilted, bent, small or turning, too. Chosen: a search for all takes several times as
+        long where there is no code.
     given_up_across : float
         How far something that was given up goes until it is searched again, as a share of the way across the
         image. Chosen: what cannot be read is followed twice as it passes.
