@@ -451,7 +451,7 @@ class StreamScheduler:
         (found,) = yield [Find(self._outside_tracks(window), motion, self._tau_us, kinds, thorough)]
         if isinstance(found, NotFound):
             clock.add(found.timings_ms)
-            turning = yield [FindTurning(self._outside_tracks(window), motion)] * thorough
+            turning = yield [FindTurning(self._outside_tracks(window), motion)] if thorough else []
             if not any(turning):
                 return _Try(at_us, motion, window, replace(found, timings_ms=clock.ms))
             return _Try(at_us, motion, window, turning[0])
