@@ -24,7 +24,7 @@ from evqr.fit.turning import fit_turning
 from evqr.launched import LAUNCHED
 from evqr.motion import Motion
 from evqr.reason import Reason
-from evqr.search.codes import apart, find_codes
+from evqr.search.codes import find_codes
 from evqr.search.confirm import are_read
 from evqr.search.finder import bytes_for
 from evqr.search.headings import headings
@@ -35,6 +35,7 @@ from evqr.search.motion_estimate import (
     find_motion,
 )
 from evqr.search.quarters import turns
+from evqr.search.searched import apart
 from evqr.search.smaller import smaller
 from evqr.symbology import Symbology
 from evqr.values import FrozenDict

@@ -10,231 +10,30 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
-from itertools import islice, pairwise
+from dataclasses import replace
+from itertools import islice
 
 import numpy as np
-from numpy.typing import NDArray
 
 from evqr.clock import StageClock
 from evqr.config import ReadConfig
 from evqr.events.batch import EventBatch
 from evqr.fit.detection import NO_LAG, Detection, NotFound, Target
 from evqr.fit.refine import complete, refine
-from evqr.geometry import inverse
 from evqr.motion import Motion
-from evqr.reason import Reason
-from evqr.search.bulls_eyes import codes_of_bulls_eyes
 from evqr.search.confirm import as_shown, confirmed, is_core
-from evqr.search.corners import codes_of_edges, with_solid_corners
 from evqr.search.curved import bends_of, unrolled
-from evqr.search.edges import Edges, straight_edges
-from evqr.search.finder import Found, Peaks, finding
+from evqr.search.features import made_up, score_edges, score_next, score_singles
+from evqr.search.finder import finding
 from evqr.search.hypothesis import Hypotheses
-from evqr.search.models import cores, kinds_of, sizes
-from evqr.search.pairs import codes_of_pairs
+from evqr.search.models import sizes
 from evqr.search.pyramid import Pyramid
-from evqr.search.score import score
 from evqr.search.screen import Candidate, screen
-from evqr.search.singles import codes_of_singles, with_single_patterns
+from evqr.search.searched import Row, SearchedWindow
 from evqr.search.tilted import Patterns, codes_of_tilted, patterns_of_triples
-from evqr.search.triples import codes_of_triples
 from evqr.symbol.space import Landmark
 from evqr.symbology import Symbology
 from evqr.workspace import Workspace
-
-
-@dataclass(frozen=True, eq=False)
-class _Row:
-    """Hypotheses of one place in one window, best first: those of the same finder patterns."""
-
-    window: _Window
-    hypotheses: Hypotheses
-
-
-class _Window:
-    """What is known of the codes of one window while it is searched."""
-
-    def __init__(
-        self, index: int, motion: Motion, tau_us: tuple[float, float] | None, cfg: ReadConfig
-    ) -> None:
-        self.index, self.motion, self.tau_us = index, motion, tau_us
-        self.codes: list[Detection] = []
-        self._unconfirmed: list[Detection] = []
-        self.tried = 0
-        # what agrees best: of what was looked at closely, and of what was only scored
-        self._closest: tuple[float, Target | None] = 0.0, None
-        self._best_match: tuple[float, Hypotheses | None] = 0.0, None
-        self._cfg = cfg
-
-    def take(self, found: Found, made: Hypotheses, *, last: bool, at_once: bool) -> None:
-        """Take what a pass found and the codes that are made up of it, instead of what those before did.
-
-        They are scored all at once, or the most promising first.
-        """
-        cfg = self._cfg
-        self.peaks, self._last = found.peaks, last
-        self._taken = np.zeros(len(found.peaks), bool)
-        # where the most promising is no code a more thorough pass will tell, rather than the next ones
-        self._failures, self._most = 0, cfg.finder.tries if last else 1
-        most, first = cfg.finder.hypotheses, cfg.finder.first_hypotheses
-        made, first = made[:most], most if at_once else first
-        self._waiting = [part for part in (made[:first], made[first:] if last else made[:0]) if len(part)]
-        self._matching = made[:0]
-        self._match = np.zeros(0, np.float32)
-
-    @property
-    def sure(self) -> bool:
-        """Whether there is a code that agrees well."""
-        return any(code.score >= self._cfg.align.good_score for code in self.codes)
-
-    @property
-    def agrees(self) -> bool:
-        """Whether there is something that agrees with a code, well or not."""
-        return bool(self.codes or self._unconfirmed)
-
-    def next_to_score(self) -> Hypotheses | None:
-        """Give the hypotheses that are to be scored now; None where all are."""
-        if not self._waiting:
-            return None
-        now = self._free(self._waiting.pop(0))
-        self.tried += len(now)
-        return now
-
-    def next_singles(self) -> NDArray[np.intp]:
-        """Give the finder patterns that are each tried as the only one of a code."""
-        self._failures, self._most = 0, self._cfg.finder.single_tries
-        self._matching, self._match = self._matching[:0], self._match[:0]
-        asked = self._cfg.symbologies
-        none = self.sure or not (with_single_patterns(asked) or Symbology.AZTEC in asked)
-        return np.flatnonzero(~self._taken)[: 0 if none else self._cfg.finder.single_patterns]
-
-    @property
-    def by_edges(self) -> bool:
-        """Whether symbols with solid sides are looked for, now."""
-        return not self.sure and with_solid_corners(self._cfg.symbologies)
-
-    def take_edges(self, edges: Edges) -> None:
-        """Take straight edges, numbered behind the finder patterns, as what a code may be found by."""
-        table = np.zeros((len(edges), 5), np.float32)
-        table[:, 1:3] = 0.5 * (edges.start + edges.end)
-        self.peaks = Peaks(np.concatenate([self.peaks.table, table]))
-        self._taken = np.concatenate([self._taken, np.zeros(len(edges), np.bool_)])
-        self._failures, self._most = 0, self._cfg.edges.failures
-        self._matching, self._match = self._matching[:0], self._match[:0]
-
-    def scored(self, hypotheses: Hypotheses, scores: NDArray[np.float32], least: float) -> None:
-        """Take scores (N, 2) of hypotheses: those that match are looked at, best first."""
-        match = np.concatenate([self._match, 0.5 * (scores[:, 0] + scores[:, 1])])
-        both = Hypotheses.joined([self._matching, hypotheses])
-        order = np.argsort(-match, kind="stable")
-        best = order[match[order] >= least]
-        if not both.single and match[order[0]] > self._best_match[0]:
-            self._best_match = float(match[order[0]]), both[order[:1]]
-        self._matching, self._match = both[best], match[best]
-
-    def rows(self) -> list[_Row]:
-        """Give what is looked at next: the best, and others that share no finder pattern with those before.
-
-        Only what is clearly a code while others are still to be scored or found, or where there is one
-        already; and one alone while it is not known how the pixels lag, for it will tell.
-        """
-        finder = self._cfg.finder
-        clear_only = bool(self._waiting) or self.sure or not self._last
-        chosen: list[_Row] = []
-        used: set[int] = set()
-        while len(chosen) < self._most - self._failures:
-            free = self._are_free(self._matching, used)
-            k = int(free.argmax()) if len(free) else 0
-            if not len(free) or not free[k]:
-                break
-            clear = bool(self._match[k] >= finder.clear_match)
-            if clear_only and not clear:
-                break
-            patterns = self._matching.peaks[k]
-            same = (self._matching.peaks == patterns).all(axis=1)
-            # a bull's eye agrees with a finder pattern too well to be weighed against it
-            same &= cores()[self._matching.size] == cores()[self._matching.size[k]]
-            chosen.append(_Row(self, self._matching[same]))
-            self._matching, self._match = self._matching[~same], self._match[~same]
-            used.update(patterns.tolist())
-            if clear and self.tau_us is None:
-                break
-        return chosen
-
-    def _are_free(self, hypotheses: Hypotheses, used: set[int]) -> NDArray[np.bool_]:
-        """Whether hypotheses have no finder pattern of a code, and none of those in use."""
-        taken = self._taken
-        if used:
-            taken = taken.copy()
-            taken[list(used)] = True
-        return ~np.any(taken[hypotheses.peaks], axis=1)
-
-    def _free(self, hypotheses: Hypotheses) -> Hypotheses:
-        """Give the hypotheses that have no finder pattern of a code."""
-        return hypotheses[self._are_free(hypotheses, set())] if self._taken.any() else hypotheses
-
-    def failed(self, score: float, target: Target) -> None:
-        """Note that what was looked at is no code."""
-        self._failures += 1
-        closest, nearest = self._closest
-        if nearest is None or score > closest:
-            self._closest = max(score, 0.0), target
-
-    def unconfirmed(self, code: Detection) -> None:
-        """Note a code that agrees, though its modules cannot be read in this window."""
-        self._failures += 1
-        self._unconfirmed.append(code)
-
-    def found(self, code: Detection) -> None:
-        """Take a code.  Where it agrees well, the finder patterns within it are its own."""
-        self.codes.append(code)
-        if code.score < self._cfg.align.good_score:
-            self._failures += 1
-            return
-        self._failures = 0
-        if self.tau_us is None:
-            self.tau_us = code.tau_us
-        x, y = self.peaks.position.T.astype(np.float64)
-        self._taken |= _inside(code.target, x, y, margin=1.0)
-
-    def result(self) -> tuple[Detection, ...] | NotFound:
-        """Give the codes, best first, none over another; or why there is none."""
-        kept = apart(self.codes or self._unconfirmed)
-        if kept:
-            return kept
-        if not self.tried:
-            return NotFound(Reason.NO_FINDER_PATTERNS, f"{len(self.peaks)} candidates")
-        closest, nearest = self._closest
-        match, best = self._best_match
-        if nearest is None and best is not None:
-            closest = match
-            nearest = Target(best.space(0), best.pose[0], self.motion)
-        detail = f"{closest:.2f}, the best of {self.tried} candidates"
-        return NotFound(Reason.DISAGREES, detail, closest, nearest)
-
-
-def apart(codes: Sequence[Detection]) -> tuple[Detection, ...]:
-    """Give codes, best first, of those that lie over each other the best alone."""
-    kept: list[Detection] = []
-    for code in sorted(codes, key=lambda code: -code.score):
-        if not any(_overlap(code.target, other.target) for other in kept):
-            kept.append(code)
-    return tuple(kept)
-
-
-def _inside(
-    target: Target, x: NDArray[np.float64], y: NDArray[np.float64], margin: float
-) -> NDArray[np.bool_]:
-    """Whether places [px] lie within a code and a margin [modules]."""
-    u, v, w = (row[0] * x + row[1] * y + row[2] for row in inverse(target.pose).tolist())
-    across, down = target.space.columns / 2.0, target.space.rows / 2.0
-    return (np.abs(u / w - across) < across + margin) & (np.abs(v / w - down) < down + margin)
-
-
-def _overlap(one: Target, other: Target) -> bool:
-    """Whether the centre of one of two codes lies within the other."""
-    return any(bool(_inside(a, *b.centre[:, None], margin=0.0)[0]) for a, b in ((one, other), (other, one)))
 
 
 def find_codes(
@@ -278,7 +77,8 @@ def find_codes(
         )  # fmt: skip
         pyramid = finder.pyramid
     windows = [
-        _Window(k, motion, tau, cfg) for k, (motion, tau) in enumerate(zip(motions, tau_us, strict=True))
+        SearchedWindow(k, motion, tau, cfg)
+        for k, (motion, tau) in enumerate(zip(motions, tau_us, strict=True))
     ]
     upright = [k for k, one in enumerate(cfg.finder.passes) if one.slack <= 1.0]
     tilted = [k for k, one in enumerate(cfg.finder.passes) if one.slack > 1.0]
@@ -302,18 +102,18 @@ def find_codes(
                 patterns = patterns_of_triples(found, numbers, ways, pyramid, cfg.align, workspace=workspace)
                 every = codes_of_tilted(patterns, len(left))
             else:
-                patterns, every = None, _made_up(found, cfg, last=last)
+                patterns, every = None, made_up(found, cfg, last=last)
             for window, one, made in zip(left, found, every, strict=True):
                 window.take(one, made, last=last, at_once=not workspace.shared)
-        while _score(left, pyramid, cfg, workspace, clock):
+        while score_next(left, pyramid, cfg, workspace, clock):
             while rows := [row for window in left for row in window.rows()]:
                 _try(batch, rows, pyramid, cfg, workspace, clock)
         if patterns is not None:
             _find_curved(batch, left, patterns, cfg, workspace, clock)
-    if _score_singles(windows, pyramid, cfg, workspace, clock):
+    if score_singles(windows, pyramid, cfg, workspace, clock):
         while rows := [row for window in windows for row in window.rows()]:
             _try(batch, rows, pyramid, cfg, workspace, clock)
-    if _score_edges(windows, pyramid, cfg, workspace, clock):
+    if score_edges(windows, pyramid, cfg, workspace, clock):
         while rows := [row for window in windows for row in window.rows()]:
             _try(batch, rows, pyramid, cfg, workspace, clock)
     return [window.result() for window in windows]
@@ -321,7 +121,7 @@ def find_codes(
 
 def _find_curved(
     batch: EventBatch,
-    windows: list[_Window],
+    windows: list[SearchedWindow],
     patterns: Patterns,
     cfg: ReadConfig,
     workspace: Workspace,
@@ -351,134 +151,9 @@ def _find_curved(
                 window.found(codes[0])
 
 
-def _made_up(found: Sequence[Found], cfg: ReadConfig, *, last: bool) -> list[Hypotheses]:
-    """Give the codes that what was found in each window could be the corners of.
-
-    In the end where one of them is missing, too.
-    """
-    ends = np.cumsum([len(one.peaks) for one in found])
-    begins = ends - [len(one.peaks) for one in found]
-    triples = np.concatenate([one.triples for one in found])
-    # peaks of all windows are numbered through
-    triples[:, 1:4] += begins.repeat([len(one.triples) for one in found])[:, None]
-    made = codes_of_triples(np.concatenate([one.peaks.table for one in found]), triples, cfg.finder)
-    made = made[kinds_of(cfg.symbologies)[made.size]]
-    window = np.searchsorted(ends, made.peaks[:, 0], side="right")
-    made.peaks[...] -= begins[window, None]
-    ends = np.searchsorted(window, np.arange(len(found)), side="right").tolist()
-    parts = [made[first:end] for first, end in pairwise([0, *ends])]
-    if last:
-        others = codes_of_pairs([one.peaks.table for one in found], cfg.finder)
-        others = [some[kinds_of(cfg.symbologies)[some.size]] for some in others]
-        parts = [Hypotheses.joined(both) for both in zip(parts, others, strict=True)]
-    return parts
-
-
-def _score(
-    windows: list[_Window], pyramid: Pyramid, cfg: ReadConfig, workspace: Workspace, clock: StageClock
-) -> bool:
-    """Score the next hypotheses of all windows; False where there are none."""
-    asked = [(window, now) for window in windows if (now := window.next_to_score()) is not None]
-    if not asked:
-        return False
-    with clock("pose"):
-        _score_all(asked, pyramid, cfg.finder.min_match, cfg, workspace)
-    return True
-
-
-def _score_singles(
-    windows: list[_Window],
-    pyramid: Pyramid,
-    cfg: ReadConfig,
-    workspace: Workspace,
-    clock: StageClock,
-) -> bool:
-    """Score finder patterns as the only ones of codes; False where there are none."""
-    which = [window.next_singles() for window in windows]
-    counts = np.array([len(some) for some in which])
-    if not counts.sum():
-        return False
-    with clock("pose"):
-        peaks = np.concatenate([one.peaks.table[some] for one, some in zip(windows, which, strict=True)])
-        of_window = np.repeat(np.arange(len(windows)), counts)
-        hypotheses, of_each = codes_of_singles(
-            peaks,
-            np.concatenate(which),
-            of_window,
-            np.array([window.motion.direction for window in windows])[of_window],
-            pyramid,
-            cfg.align,
-            cfg.symbologies,
-            workspace=workspace,
-        )
-        parts = [hypotheses[of_each == k] for k in range(len(windows))]
-        _score_all(
-            list(zip(windows, parts, strict=True)), pyramid, cfg.finder.min_single_match, cfg, workspace
-        )
-        if Symbology.AZTEC in cfg.symbologies:
-            hypotheses, of_each, scores = codes_of_bulls_eyes(
-                peaks, np.concatenate(which), of_window, pyramid, cfg.align, workspace=workspace
-            )
-            for k in np.unique(of_each).tolist():
-                its = of_each == k
-                both = np.column_stack([scores[its], scores[its]])
-                windows[k].scored(hypotheses[its], both, cfg.finder.min_single_match)
-    return True
-
-
-def _score_edges(
-    windows: list[_Window], pyramid: Pyramid, cfg: ReadConfig, workspace: Workspace, clock: StageClock
-) -> bool:
-    """Score straight edges as sides of codes; False where there are none."""
-    asked = [window for window in windows if window.by_edges]
-    if not asked:
-        return False
-    which = [window.index for window in asked]
-    directions = np.array([window.motion.direction for window in asked])
-    with clock("finder"):
-        edges = straight_edges(pyramid, which, directions, cfg.edges, workspace=workspace)
-    with clock("pose"):
-        first = [len(window.peaks) for window in asked]
-        hypotheses, of_each, scores = codes_of_edges(
-            edges, which, directions, first, pyramid, cfg, workspace=workspace
-        )
-        for window, its in zip(asked, edges, strict=True):
-            window.take_edges(its)
-            mine = of_each == window.index
-            if mine.any():
-                both = np.column_stack([scores[mine], scores[mine]])
-                window.scored(hypotheses[mine], both, cfg.edges.min_score)
-    return True
-
-
-def _score_all(
-    asked: list[tuple[_Window, Hypotheses]],
-    pyramid: Pyramid,
-    least: float,
-    cfg: ReadConfig,
-    workspace: Workspace,
-) -> None:
-    """Score hypotheses of windows in one launch."""
-    asked = [(window, some) for window, some in asked if len(some)]
-    if not asked:
-        return
-    scores = score(
-        pyramid,
-        np.concatenate([np.full(len(some), window.index) for window, some in asked]),
-        np.concatenate([some.size for _, some in asked]),
-        np.concatenate([some.pose for _, some in asked]),
-        cfg.align,
-        workspace=workspace,
-    )
-    end = 0
-    for window, some in asked:
-        window.scored(some, scores[end : end + len(some)], least)
-        end += len(some)
-
-
 def _try(
     batch: EventBatch,
-    rows: list[_Row],
+    rows: list[Row],
     pyramid: Pyramid,
     cfg: ReadConfig,
     workspace: Workspace,
@@ -551,7 +226,7 @@ def _sizes_of(hypotheses: Hypotheses, most: int) -> list[Candidate]:
 
 
 def _candidates(
-    rows: list[_Row], pyramid: Pyramid, cfg: ReadConfig, workspace: Workspace
+    rows: list[Row], pyramid: Pyramid, cfg: ReadConfig, workspace: Workspace
 ) -> list[list[Candidate]]:
     """Give what may be refined of each place, best first: aligned coarsely, unless a pattern was so alone."""
     one = cfg.align
