@@ -191,8 +191,8 @@ class Solver:
         symbologies : tuple of Symbology, optional
             Kinds that are searched for; None: those configured.
         thorough : bool
-            Whether tilted codes and smaller modules are searched for where nothing is found; where what is
-            found is not sure they are in any case.
+            Whether tilted codes, those with a hidden finder pattern and smaller modules are searched for
+            where nothing is found; where what is found is not sure they are in any case.
 
         Returns
         -------

@@ -33,10 +33,10 @@ def tilted(pose, size, turn, axis, focal_modules=60.0):
     return pose @ np.linalg.inv(to_centre) @ along.T @ lean @ along @ to_centre
 
 
-def _texture(placement, blur_modules):
+def _texture(placement, blur_modules, damage):
     """Logarithms of light over the code and what is around it, blurred as by optics."""
     symbol = make_symbol(placement)
-    modules = np.where(symbol.modules != 0, DARK, LIGHT)
+    modules = np.where(damage(symbol.modules) != 0, DARK, LIGHT)
     fine = np.kron(np.pad(modules, QUIET + 2, constant_values=LIGHT), np.ones((FINE, FINE)))
     reach = math.ceil(3 * blur_modules * FINE)
     kernel = np.exp(-0.5 * (np.arange(-reach, reach + 1) / (blur_modules * FINE)) ** 2)
@@ -49,13 +49,15 @@ def _texture(placement, blur_modules):
 def moving_code(
     pose, duration_us, *, text="EVQR-07", version=2, ec="M", width=220, height=180, frame_us=40.0,
     threshold=0.25, blur_modules=0.15, noise_hz=2.0, seed=0, start_us=0,
+    damage=lambda modules: modules,
 ):  # fmt: skip
     """Events of a code whose pose is a function of time [us].
 
     The ground around the code is as light as its quiet zone, so that no edge but the code's is seen.
+    ``damage`` gives the modules, 1 dark, that are printed in place of a symbol's.
     """
     rng = np.random.default_rng(seed)
-    texture, _ = _texture(CodePlacement(text=text, version=version, ec=ec), blur_modules)
+    texture, _ = _texture(CodePlacement(text=text, version=version, ec=ec), blur_modules, damage)
     y, x = np.mgrid[:height, :width].reshape(2, -1).astype(np.float64)
     up, down = np.abs(rng.normal(threshold, 0.03 * threshold, (2, len(x))))
     rows, columns = texture.shape

@@ -140,6 +140,17 @@ class FinderConfig(Settings):
         The same with which one is clearly a code: others are looked at only where there is none. Chosen.
     tries : int
         What is looked at closely in a window without being a code, in a row, at most. Chosen.
+    hidden_below : float
+        Correlation with all that is known below which a code is not taken for one that shows all of its
+        finder patterns, unless it is read: one of them may be hidden then. Chosen: with a pattern
+        that is none they were seen to have up to 0.93, most of those that show all have more.
+    hidden_hypotheses : int
+        Codes of which two finder patterns are seen that are scored in a window, the best; 0: none. Chosen:
+        those of codes were seen to be the first or second.
+    min_hidden_match : float
+        As ``min_match``, of those. Chosen: codes were seen to have 0.64 and more, what is none at most 0.58.
+    hidden_tries : int
+        As ``tries``, of those. Chosen.
     single_patterns : int
         Finder patterns that are each tried as the only one of a code, the best that belong to no code with
         several; 0: none. Chosen.
@@ -182,6 +193,10 @@ class FinderConfig(Settings):
     min_match: Annotated[float, Range(least=-1.0, most=1.0)] = 0.35
     clear_match: Annotated[float, Range(least=-1.0, most=1.0)] = 0.5
     tries: Count = 4
+    hidden_below: NotNegative = 0.94
+    hidden_hypotheses: Annotated[int, Range(least=0, most=4096)] = 512
+    min_hidden_match: Annotated[float, Range(least=-1.0, most=1.0)] = 0.55
+    hidden_tries: Count = 2
     single_patterns: Annotated[int, Range(least=0, most=1024)] = 8
     min_single_match: Annotated[float, Range(least=-1.0, most=1.0)] = 0.58
     single_candidates: Count = 6

@@ -27,8 +27,8 @@ class SchedulerConfig(Settings):
     every_kind : int
         Of so many searches in a row in which something moves and no code is read, one is for all kinds of
         symbols that are asked for, the others for QR and Micro QR codes; every second of these is for QR
-        codes that are tilted, bent, small or turning, too. Chosen: a search for all takes several times as
-        long where there is no code.
+        codes that are tilted, bent, small, turning or lack a pattern, too. Chosen: a search for all takes
+        several times as long where there is no code.
     given_up_across : float
         How far something that was given up goes until it is searched again, as a share of the way across the
         image. Chosen: what cannot be read is followed twice as it passes.

@@ -17,13 +17,10 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from evqr.symbol.space import CodeSpace, Landmark, closed
+from evqr.symbol.space import SEPARATED, CodeSpace, Landmark, closed
 
 MOST_QUIET_MODULES = 3
 """Modules of quiet zone around the symbol that the model covers at most; that of a QR code is four wide."""
-
-PATTERN_REACH = 4.5
-"""Half of the width of a finder pattern and its separator [modules]."""
 
 PROFILE_WIDTHS = 7
 """A module is seen so many standard deviations of its blur beyond its edge: what is left of its profile and
@@ -176,7 +173,7 @@ def _samples(space: CodeSpace, samples_a_module: int, beyond_patterns: bool) -> 
             if anchor.kind is not Landmark.FINDER_PATTERN:
                 continue
             beside_u, beside_v = (
-                np.abs(axis - at) > PATTERN_REACH for axis, at in ((across, anchor.u), (down, anchor.v))
+                np.abs(axis - at) > SEPARATED for axis, at in ((across, anchor.u), (down, anchor.v))
             )
             use &= beside_v[:, None] | beside_u
     rows, columns = use.nonzero()

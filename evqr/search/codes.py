@@ -23,7 +23,7 @@ from evqr.fit.refine import complete, refine
 from evqr.motion import Motion
 from evqr.search.confirm import as_shown, confirmed, is_core
 from evqr.search.curved import bends_of, unrolled
-from evqr.search.features import made_up, score_edges, score_next, score_singles
+from evqr.search.features import made_up, score_edges, score_hidden, score_next, score_singles
 from evqr.search.finder import finding
 from evqr.search.hypothesis import Hypotheses
 from evqr.search.models import sizes
@@ -63,7 +63,8 @@ def find_codes(
     clock : StageClock
         To which the times are added, by stage.
     thorough : bool
-        Whether tilted codes are searched for where nothing is found.
+        Whether tilted codes, and those of which a finder pattern is hidden, are searched for where nothing
+        is found.
 
     Returns
     -------
@@ -110,12 +111,11 @@ def find_codes(
                 _try(batch, rows, pyramid, cfg, workspace, clock)
         if patterns is not None:
             _find_curved(batch, left, patterns, cfg, workspace, clock)
-    if score_singles(windows, pyramid, cfg, workspace, clock):
-        while rows := [row for window in windows for row in window.rows()]:
-            _try(batch, rows, pyramid, cfg, workspace, clock)
-    if score_edges(windows, pyramid, cfg, workspace, clock):
-        while rows := [row for window in windows for row in window.rows()]:
-            _try(batch, rows, pyramid, cfg, workspace, clock)
+    doubted = windows if thorough else [window for window in windows if window.agrees]
+    for score_others, those in ((score_hidden, doubted), (score_singles, windows), (score_edges, windows)):
+        if score_others(those, pyramid, cfg, workspace, clock):
+            while rows := [row for window in windows for row in window.rows()]:
+                _try(batch, rows, pyramid, cfg, workspace, clock)
     return [window.result() for window in windows]
 
 

@@ -29,10 +29,13 @@ def is_core(code: Detection) -> bool:
 def confirmed(codes: list[Detection], cfg: ReadConfig, workspace: Workspace, clock: StageClock) -> list[bool]:
     """Tell whether codes are what they are taken for: those without a finder pattern, where they can be read.
 
-    Many things have straight edges, and the quiet zone of a symbol on a label looks like the light sides of a
-    larger, inverted one; around the middle of a finder pattern known modules of an Aztec code are few.
+    So are those of which one pattern is hidden, for it may be made up.  Many things have straight edges, and
+    the quiet zone of a symbol on a label looks like the light sides of a larger, inverted one; around the
+    middle of a finder pattern known modules of an Aztec code are few.
     """
-    sure = [code.space.anchors[0].kind is Landmark.FINDER_PATTERN for code in codes]
+    sure = [
+        code.space.anchors[0].kind is Landmark.FINDER_PATTERN and code.space.hidden is None for code in codes
+    ]
     asked = [k for k, one in enumerate(sure) if not (one or is_core(codes[k]))]
     read = are_read([codes[k] for k in asked], cfg, workspace, clock)
     for k, each in zip(asked, read, strict=True):

@@ -1,6 +1,6 @@
 """What codes could be made up of what is seen, and how well each agrees with what all of its size show.
 
-Of three finder patterns and of two; of one alone; of straight edges.
+Of three finder patterns and of two; of two where the third is hidden; of one alone; of straight edges.
 """
 
 from __future__ import annotations
@@ -13,6 +13,7 @@ import numpy as np
 from evqr.clock import StageClock
 from evqr.config import ReadConfig
 from evqr.search.bulls_eyes import codes_of_bulls_eyes
+from evqr.search.confirm import are_read
 from evqr.search.corners import codes_of_edges
 from evqr.search.edges import straight_edges
 from evqr.search.finder import Found
@@ -61,6 +62,23 @@ def score_next(
     with clock("pose"):
         _score_all(asked, pyramid, cfg.finder.min_match, cfg, workspace)
     return True
+
+
+def score_hidden(
+    windows: list[SearchedWindow], pyramid: Pyramid, cfg: ReadConfig, workspace: Workspace, clock: StageClock
+) -> bool:
+    """Score pairs of finder patterns as all that is seen of codes; False where there are none."""
+    least = cfg.finder.hidden_below
+    doubtful = [one for one in windows if not any(code.score >= least for code in one.codes)]
+    weak = [(window, code) for window in doubtful for code in window.codes]
+    can_read = are_read([code for _, code in weak], cfg, workspace, clock)
+    for (window, code), can in zip(weak, can_read, strict=True):
+        if can:
+            window.read.append(code)
+    with clock("pose"):
+        asked = [(window, window.next_hidden()) for window in doubtful if not window.read]
+        _score_all(asked, pyramid, cfg.finder.min_hidden_match, cfg, workspace)
+    return any(len(made) for _, made in asked)
 
 
 def score_singles(

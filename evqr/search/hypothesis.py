@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from evqr.search.models import sizes
-from evqr.symbol.space import CodeSpace
+from evqr.symbol.space import CodeSpace, without
 from evqr.symbol.symbols import space_of
 
 ROW = np.dtype(
@@ -49,7 +49,10 @@ class Hypotheses:
 
     @property
     def peaks(self) -> NDArray[np.intp]:
-        """The finder patterns (N, 3): at the corner, along u and along v; or three times the only one."""
+        """The finder patterns (N, 3): at the corner, along u and along v; or three times the only one.
+
+        Of two the second is there twice.
+        """
         return self.table["peaks"]
 
     @property
@@ -80,4 +83,5 @@ class Hypotheses:
     def space(self, which: int) -> CodeSpace:
         """Give the code space of one."""
         size = sizes()[self.size[which]]
-        return space_of(size.symbology, size.version)
+        space = space_of(size.symbology, size.version)
+        return space if size.hidden is None else without(space, size.hidden)

@@ -41,18 +41,22 @@ class Size:
         Which size of it.
     anchors : tuple of Anchor
         Its finder patterns: at its corner, and where it has three, along u and along v.
+    hidden : int, optional
+        Which finder pattern of the symbol is not seen, and none of these.  Default: none.
     """
 
     symbology: Symbology
     version: Version
     anchors: tuple[Anchor, ...]
+    hidden: int | None = None
 
 
 @functools.cache
 def sizes() -> tuple[Size, ...]:
     """All sizes that are found: `Models` are in this order.
 
-    Cores of symbols about a bull's eye, those with one or three finder patterns, and heads.
+    Cores of symbols about a bull's eye, those with one or three finder patterns, and heads; then those with
+    three of which one is hidden.
     """
     found = []
     names = [(symbology, version) for symbology, symbol in SYMBOLS.items() for version in symbol.sizes]
@@ -67,13 +71,28 @@ def sizes() -> tuple[Size, ...]:
         anchors = tuple(anchor for anchor in every if anchor.kind is Landmark.FINDER_PATTERN)
         if len(anchors) in (1, 3):
             found.append(Size(symbology, version, anchors))
+    for size in [size for size in found if len(size.anchors) == 3]:
+        for hidden in range(3):
+            seen = size.anchors[:hidden] + size.anchors[hidden + 1 :]
+            found.append(Size(size.symbology, size.version, seen, hidden))
     return tuple(found)
+
+
+@functools.cache
+def hidden_sizes() -> NDArray[np.intp]:
+    """Give for each of `sizes` with three finder patterns those with one of them hidden, (S, 3)."""
+    numbers = {(size.symbology, size.version, size.hidden): k for k, size in enumerate(sizes())}
+    of_each = [
+        [numbers.get((size.symbology, size.version, hidden), k) for hidden in range(3)]
+        for k, size in enumerate(sizes())
+    ]
+    return closed(np.array(of_each, np.intp))
 
 
 @functools.cache
 def heads() -> Mapping[int, NDArray[np.intp]]:
     """Sizes that begin with a head, by the head: all by their numbers in `sizes`."""
-    numbers = {(size.symbology, size.version): k for k, size in enumerate(sizes())}
+    numbers = {(size.symbology, size.version): k for k, size in enumerate(sizes()) if size.hidden is None}
     return MappingProxyType(
         {
             numbers[symbology, head]: np.array([numbers[symbology, version] for version in versions], np.intp)

@@ -16,6 +16,7 @@ from numpy.typing import NDArray
 
 from evqr.config import FinderConfig
 from evqr.search.hypothesis import Hypotheses
+from evqr.search.models import hidden_sizes
 from evqr.search.triples import three_cornered
 
 PATTERNS = 12
@@ -39,7 +40,13 @@ The leg along u, and the way from the corner to the first of them, each in parts
 and of that turned by a right angle."""
 
 
-def codes_of_pairs(peaks: Sequence[NDArray[np.float32]], cfg: FinderConfig) -> list[Hypotheses]:
+HIDDEN = np.array([2, 1, 0])
+"""The third pattern of each."""
+
+
+def codes_of_pairs(
+    peaks: Sequence[NDArray[np.float32]], cfg: FinderConfig, *, hidden: bool = False
+) -> list[Hypotheses]:
     """Give the codes that two finder patterns each could belong to: all sizes that fit, of each window.
 
     Parameters
@@ -48,6 +55,9 @@ def codes_of_pairs(peaks: Sequence[NDArray[np.float32]], cfg: FinderConfig) -> l
         Response, x, y, size of a module and angle, of each window, best first.
     cfg : FinderConfig
         Settings.
+    hidden : bool
+        Whether the third is not to be seen: stained, cut off by the border, not printed.  Default: it is
+        there, but none of the peaks.
 
     Returns
     -------
@@ -98,9 +108,10 @@ def codes_of_pairs(peaks: Sequence[NDArray[np.float32]], cfg: FinderConfig) -> l
     pose[:, :2, 2] = corner - corner_u * pose[:, :2, 0] - corner_v * pose[:, :2, 1]
     pose[:, 2, 2] = 1.0
     window, one, other = window[pair], one[pair], other[pair]
-    made = Hypotheses.of(
-        number[:, 0].astype(np.intp), pose, np.stack([one, other, one], axis=1), response[window, one] < 0.0
-    )
+    number = number[:, 0].astype(np.intp)
+    if hidden:
+        number = hidden_sizes()[number, HIDDEN[kind]]
+    made = Hypotheses.of(number, pose, np.stack([one, other, one], axis=1), response[window, one] < 0.0)
     ends = np.searchsorted(window, np.arange(len(peaks)), side="right").tolist()
     return [made[first:end] for first, end in pairwise([0, *ends])]
 

@@ -17,7 +17,8 @@ from evqr.search.corners import with_solid_corners
 from evqr.search.edges import Edges
 from evqr.search.finder import Found, Peaks
 from evqr.search.hypothesis import Hypotheses
-from evqr.search.models import cores
+from evqr.search.models import cores, kinds_of
+from evqr.search.pairs import codes_of_pairs
 from evqr.search.singles import with_single_patterns
 from evqr.symbology import Symbology
 
@@ -45,8 +46,10 @@ class SearchedWindow:
         self, index: int, motion: Motion, tau_us: tuple[float, float] | None, cfg: ReadConfig
     ) -> None:
         self.index, self.motion, self.tau_us = index, motion, tau_us
+        self._given_tau_us = tau_us
         self.codes: list[Detection] = []
         self._unconfirmed: list[Detection] = []
+        self.read: list[Detection] = []  # those of them that are known to be read
         self.tried = 0
         # what agrees best: of what was looked at closely, and of what was only scored
         self._closest: tuple[float, Target | None] = 0.0, None
@@ -87,10 +90,28 @@ class SearchedWindow:
         self.tried += len(now)
         return now
 
+    def _begin(self, tries: int) -> None:
+        """Begin to look for codes in another way, with so many failures in a row at most."""
+        self._failures, self._most = 0, tries
+        self._matching, self._match = self._matching[:0], self._match[:0]
+
+    def next_hidden(self) -> Hypotheses:
+        """Give the codes of which two finder patterns could be all that is seen.
+
+        What was found before says nothing: with a third pattern that is none it is where the code is.
+        """
+        cfg = self._cfg
+        self._begin(cfg.finder.hidden_tries)
+        self._taken[:] = False
+        self.tau_us = self._given_tau_us
+        (made,) = codes_of_pairs([self.peaks.table], cfg.finder, hidden=True)
+        made = made[kinds_of(cfg.symbologies)[made.size]][: cfg.finder.hidden_hypotheses]
+        self.tried += len(made)
+        return made
+
     def next_singles(self) -> NDArray[np.intp]:
         """Give the finder patterns that are each tried as the only one of a code."""
-        self._failures, self._most = 0, self._cfg.finder.single_tries
-        self._matching, self._match = self._matching[:0], self._match[:0]
+        self._begin(self._cfg.finder.single_tries)
         asked = self._cfg.symbologies
         none = self.sure or not (with_single_patterns(asked) or Symbology.AZTEC in asked)
         return np.flatnonzero(~self._taken)[: 0 if none else self._cfg.finder.single_patterns]
@@ -106,8 +127,7 @@ class SearchedWindow:
         table[:, 1:3] = 0.5 * (edges.start + edges.end)
         self.peaks = Peaks(np.concatenate([self.peaks.table, table]))
         self._taken = np.concatenate([self._taken, np.zeros(len(edges), np.bool_)])
-        self._failures, self._most = 0, self._cfg.edges.failures
-        self._matching, self._match = self._matching[:0], self._match[:0]
+        self._begin(self._cfg.edges.failures)
 
     def scored(self, hypotheses: Hypotheses, scores: NDArray[np.float32], least: float) -> None:
         """Take scores (N, 2) of hypotheses: those that match are looked at, best first."""
@@ -175,6 +195,8 @@ class SearchedWindow:
     def found(self, code: Detection) -> None:
         """Take a code.  Where it agrees well, the finder patterns within it are its own."""
         self.codes.append(code)
+        if code.space.hidden is not None:
+            self.read.append(code)
         if code.score < self._cfg.align.good_score:
             self._failures += 1
             return
@@ -186,7 +208,7 @@ class SearchedWindow:
 
     def result(self) -> tuple[Detection, ...] | NotFound:
         """Give the codes, best first, none over another; or why there is none."""
-        kept = apart(self.codes or self._unconfirmed)
+        kept = apart(self.codes or self._unconfirmed, self.read)
         if kept:
             return kept
         if not self.tried:
@@ -200,10 +222,14 @@ class SearchedWindow:
         return NotFound(Reason.DISAGREES, detail, closest, nearest)
 
 
-def apart(codes: Sequence[Detection]) -> tuple[Detection, ...]:
-    """Give codes, best first, of those that lie over each other the best alone."""
+def apart(codes: Sequence[Detection], read: Sequence[Detection] = ()) -> tuple[Detection, ...]:
+    """Give codes, best first, of those that lie over each other the best alone.
+
+    Those that are known to be read are right, however well the others agree.
+    """
     kept: list[Detection] = []
-    for code in sorted(codes, key=lambda code: -code.score):
+    are_right = {*map(id, read)}
+    for code in sorted(codes, key=lambda code: (id(code) not in are_right, -code.score)):
         if not any(_overlap(code.target, other.target) for other in kept):
             kept.append(code)
     return tuple(kept)

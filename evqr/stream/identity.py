@@ -115,7 +115,7 @@ def distance_as_one(earlier: Target, later: Target, turning: float, cfg: Schedul
     (angle, log_module), (later_angle, later_log_module) = similarity_of(earlier), similarity_of(later)
     turned = math.remainder(later_angle - angle - 0.5 * turning * seconds, math.tau)
     if (
-        earlier.space != later.space
+        (earlier.space.symbology, earlier.space.version) != (later.space.symbology, later.space.version)
         or abs(turned) > LEAST_TURN + seconds * (math.radians(cfg.turn_rate) + abs(turning))
         or abs(later_log_module - log_module) > LEAST_GROWTH + seconds * cfg.growth_rate
     ):

@@ -56,6 +56,8 @@ def decode_grid(
     if effort not in ("quick", "full"):
         raise ValueError(f"effort must be 'quick' or 'full', got {effort!r}")
     symbol = SYMBOLS[space.symbology]
+    if space.hidden is not None:  # what it says does not depend on which modules were seen
+        space = symbol.space(space.version)
     outcome = symbol.decode(q, space, config, effort)
     if effort == "full" and isinstance(outcome, DecodeFailure) and space.rows == space.columns:
         mirrored = symbol.decode(symbol.mirror(q), space, config, effort)

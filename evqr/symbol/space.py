@@ -6,7 +6,8 @@ estimated.  How the others carry the content is the business of the symbology's 
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+import functools
+from dataclasses import dataclass, field, replace
 from enum import Enum
 from typing import Any
 
@@ -17,6 +18,10 @@ from evqr.symbology import Symbology
 
 Version = int | str
 """Of a symbol: 1 to 40 for QR codes, text for others (M2, R11x27, 22x22, F4)."""
+
+
+SEPARATED = 4.5
+"""Half of the width of a finder pattern and its separator [modules]."""
 
 
 class Landmark(str, Enum):
@@ -76,7 +81,7 @@ class Timing:
 
 @dataclass(frozen=True, kw_only=True)
 class CodeSpace:
-    """A kind of symbol in one size; equal where symbology and version are.
+    """A kind of symbol in one size; equal where symbology, version and what is hidden are.
 
     Attributes
     ----------
@@ -92,6 +97,9 @@ class CodeSpace:
         What the search looks for.
     quiet_zone : int [modules]
         Width of the light margin that the standard asks for.
+    hidden : int, optional
+        Which finder pattern of the symbol is not seen: its modules are not known, and it is none of the
+        anchors.  Default: none.
 
     Raises
     ------
@@ -105,6 +113,7 @@ class CodeSpace:
     values: NDArray[np.int8] = field(compare=False, repr=False)
     anchors: tuple[Anchor, ...] = field(compare=False, repr=False)
     quiet_zone: int = field(compare=False, repr=False)
+    hidden: int | None = field(default=None, repr=False)
 
     def __post_init__(self) -> None:
         if self.known.ndim != 2 or self.values.shape != self.known.shape:
@@ -149,6 +158,28 @@ class CodeSpace:
     def size(self) -> int:
         """Modules of the longer side."""
         return max(self.known.shape)
+
+
+@functools.lru_cache(maxsize=256)
+def without(space: CodeSpace, hidden: int) -> CodeSpace:
+    """Return a code space of which one finder pattern is not seen.
+
+    Parameters
+    ----------
+    space : CodeSpace
+        Of all that the kind and size shows.
+    hidden : int
+        Which of its anchors is not seen, a finder pattern: its modules and those of its separator, which are
+        under the same stain or out of view, are not known.
+    """
+    pattern = space.anchors[hidden]
+    rows, columns = (
+        slice(max(0, round(at - SEPARATED)), round(at + SEPARATED)) for at in (pattern.v, pattern.u)
+    )
+    known, values = space.known.copy(), space.values.copy()
+    known[rows, columns], values[rows, columns] = False, 0
+    anchors = tuple(anchor for k, anchor in enumerate(space.anchors) if k != hidden)
+    return replace(space, known=known, values=values, anchors=anchors, hidden=hidden)
 
 
 def closed(array: NDArray) -> NDArray:

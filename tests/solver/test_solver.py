@@ -124,7 +124,7 @@ def test_a_window_without_a_code_gives_a_reason(count, solver):
     [
         ReadConfig(align=AlignConfig(min_score=1.0, good_score=1.0)),
         ReadConfig(align=AlignConfig(coarse_score=1.0)),
-        ReadConfig(finder=FinderConfig(min_match=1.0, single_patterns=0)),
+        ReadConfig(finder=FinderConfig(min_match=1.0, hidden_hypotheses=0, single_patterns=0)),
     ],
     ids=["refined", "screened", "scored"],
 )
