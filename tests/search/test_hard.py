@@ -66,4 +66,4 @@ def test_what_is_searched_below_the_usual_sizes_goes_on_from_them():
 
 def test_a_stream_is_searched_thoroughly_now_and_then():
     scheduler = StreamScheduler([Solver(ReadConfig())], 64, 48)
-    assert [scheduler._kinds(vain)[1] for vain in range(4)] == [False, True, False, True]
+    assert [scheduler._kinds(vain)[1] for vain in range(6)] == [False, True, False, False, False, True]
