@@ -329,7 +329,7 @@ _ROWS = (
     ),
     Sweep(
         name="few-events", parameter="events an edge", unit="events", goal=2.0, share=0.5,
-        values=(5.0, 4.0, 3.0, 2.5, 2.0, 1.5, 1.0), make=few_events,
+        values=(5.0, 4.0, 3.0, 2.5, 2.0, 1.5, 1.1), make=few_events,
     ),
     Sweep(
         name="flicker", parameter="depth at 100 Hz", unit="share", goal=0.9,
