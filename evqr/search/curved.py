@@ -116,10 +116,14 @@ def _bend_of(centre: NDArray[np.float64], shape: NDArray[np.float64]) -> tuple[f
         turns = np.arange(ANGLES) * np.pi / ANGLES
         grid = np.stack(np.meshgrid(turns, RADII, OFF, indexing="ij"), axis=-1).reshape(-1, 3)
         for step in (1.0, 0.4):
-            misfit, bend = _best_of(grid, centre, shape, modules, width)
-            if misfit < best[0]:
-                best = misfit, bend
-            turn, radius, off = grid[_misfits(grid, centre, shape, modules, width).argmin()]
+            misfit = _misfits(grid, centre, shape, modules, width)
+            k = int(misfit.argmin())
+            turn, radius, off = grid[k].tolist()
+            if misfit[k] < best[0]:
+                across = math.cos(turn), math.sin(turn)
+                x, y = (0.5 * (centre[1] + centre[2])).tolist()
+                crest = x + off * width * across[0], y + off * width * across[1]
+                best = float(misfit[k]), Bend(crest, across, radius * width, width)
             near = np.linspace(-step, step, 5)
             grid = np.stack(
                 np.meshgrid(
@@ -129,22 +133,6 @@ def _bend_of(centre: NDArray[np.float64], shape: NDArray[np.float64]) -> tuple[f
                 axis=-1,
             ).reshape(-1, 3)  # fmt: skip
     return best
-
-
-def _best_of(
-    grid: NDArray[np.float64],
-    centre: NDArray[np.float64],
-    shape: NDArray[np.float64],
-    modules: float,
-    width: float,
-) -> tuple[float, Bend]:
-    misfit = _misfits(grid, centre, shape, modules, width)
-    k = int(misfit.argmin())
-    turn, radius, off = grid[k].tolist()
-    across = float(np.cos(turn)), float(np.sin(turn))
-    x, y = (0.5 * (centre[1] + centre[2])).tolist()
-    crest = x + off * width * across[0], y + off * width * across[1]
-    return float(misfit[k]), Bend(crest, across, radius * width, width)
 
 
 def _misfits(
